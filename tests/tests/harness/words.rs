@@ -27,9 +27,12 @@ pub(crate) fn as_words(sequence: u64) -> FrameInput {
 /// A frame with the words of its image in place of the image.
 pub(crate) fn in_words(frame: FrameInput) -> FrameInput {
     let FrameContent::Image(image) = frame.content else { panic!("not an image: {frame:?}") };
-    let made = WORDS.lock().unwrap().get(&image).cloned();
-    let words = made.unwrap_or_else(|| word_maker().words(&image).unwrap());
-    WORDS.lock().unwrap().insert(image, words.clone());
+    let known = WORDS.lock().unwrap().get(&image).cloned();
+    let words = known.unwrap_or_else(|| {
+        let made = word_maker().words(&image).unwrap();
+        WORDS.lock().unwrap().insert(image, made.clone());
+        made
+    });
     FrameInput { content: FrameContent::Words(words), ..frame }
 }
 

@@ -18,9 +18,9 @@ use waypost_client::{Client, Code, FrameOutcome, v1};
 use waypost_proto::v1::map_service_client::MapServiceClient;
 
 use crate::harness::{
-    Built, RawStream, Server, ServerProcess, answers, as_words, assert_status, channel, first_return,
-    followed, frame, images, import_model, in_time, map_request, open, reference, refused, run_to_its_end,
-    said, session_options, state_hash, tables, wire, workspace,
+    Built, RawStream, Server, ServerProcess, answers, assert_status, channel, first_return, followed, frame,
+    images, import_model, in_time, map_request, open, reference, refused, run_to_its_end, said,
+    session_options, state_hash, tables, wire, workspace,
 };
 
 /// Snapshots of the format's versions. From the second on they have labels.
@@ -113,9 +113,9 @@ async fn bound_before(directory: &Path) {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_map_comes_back_as_it_was_and_goes_on() {
     let (server, client) = Server::with_map().await;
-    answers(&client, "drive", "first", (1..=20).map(as_words)).await;
+    answers(&client, "drive", "first", (1..=20).map(frame)).await;
     let again = first_return();
-    let stored = answers(&client, "drive", "second", (again..again + 10).map(as_words)).await;
+    let stored = answers(&client, "drive", "second", (again..again + 10).map(frame)).await;
     bound_before(server.directory()).await;
     for (place, label) in [(0, "hall"), (1, "Küche"), (2, "hall")] {
         let place = format!("maps/drive/places/{place}");
@@ -268,7 +268,7 @@ async fn names_are_checked_and_kept_for_the_map_that_comes() {
 #[tokio::test(flavor = "multi_thread")]
 async fn stalled_exports_are_limited_and_hold_nobody_up() {
     let (server, client) = Server::with_map().await;
-    answers(&client, "drive", "robot", (1..=8).map(as_words)).await;
+    answers(&client, "drive", "robot", (1..=8).map(frame)).await;
     // More than all buffers on the way can hold.
     sql(
         server.directory(),
@@ -288,7 +288,7 @@ async fn stalled_exports_are_limited_and_hold_nobody_up() {
         Code::ResourceExhausted,
         "2 exports are under way already; try again",
     );
-    let more = in_time(answers(&client, "drive", "robot", (9..=14).map(as_words))).await;
+    let more = in_time(answers(&client, "drive", "robot", (9..=14).map(frame))).await;
     assert_eq!(more.len(), 6);
     assert_eq!(
         in_time(client.loop_closures("drive")).await.unwrap().len() as u64,
@@ -322,7 +322,7 @@ async fn a_stalled_export_does_not_hold_up_a_stop() {
     let client = server.client().await;
     let model = import_model(&client).await;
     client.create_map(map_request("drive", &model.name)).await.unwrap();
-    answers(&client, "drive", "robot", (1..=8).map(as_words)).await;
+    answers(&client, "drive", "robot", (1..=8).map(frame)).await;
     sql(
         directory.path(),
         "INSERT INTO frame_media SELECT map_id, position, 'image', randomblob(4000000) FROM log WHERE sequence IS NOT NULL",

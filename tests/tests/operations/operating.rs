@@ -13,8 +13,7 @@ use waypost_proto::v1;
 use waypost_proto::v1::map_service_client::MapServiceClient;
 
 use crate::harness::{
-    RawStream, Server, ServerProcess, answers, as_words, channel, frame, import_model, map_request, open,
-    wire,
+    RawStream, Server, ServerProcess, answers, channel, frame, import_model, map_request, open, wire,
 };
 
 /// A client that takes the direct way, whatever the environment says.
@@ -59,7 +58,7 @@ async fn metrics_count_what_was_streamed() {
     let before = metrics(&server).await;
     assert_eq!((sum(&before, "waypost_frames_total"), before["waypost_open_streams"]), (0.0, 0.0));
 
-    let answered = answers(&client, "drive", "first", (1..=6).map(as_words)).await;
+    let answered = answers(&client, "drive", "first", (1..=6).map(frame)).await;
     let mut by_reason: BTreeMap<String, f64> = BTreeMap::new();
     for answer in &answered {
         let reason = answer.reason().as_str_name().trim_start_matches("REASON_").to_lowercase();

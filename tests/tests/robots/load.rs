@@ -206,13 +206,10 @@ async fn what_is_refused_under_overload_is_answered_later() {
             by_the_contract(stream, FRAMES).await
         }
     });
-    let library =
-        stream::iter(0..library_robots).map(|robot| {
-            let client = &client;
-            async move {
-                answers(client, "drive", &format!("library-{robot}"), (1..=2 * FRAMES).map(as_words)).await
-            }
-        });
+    let library = stream::iter(0..library_robots).map(|robot| {
+        let client = &client;
+        async move { answers(client, "drive", &format!("library-{robot}"), (1..=2 * FRAMES).map(frame)).await }
+    });
     let (raw, library): (Vec<_>, Vec<_>) = tokio::join!(
         raw.buffer_unordered(raw_robots).collect(),
         library.buffer_unordered(library_robots).collect()

@@ -5,7 +5,7 @@ use super::*;
 #[tokio::test(flavor = "multi_thread")]
 async fn an_import_that_is_cancelled_leaves_nothing() {
     let (server, client) = Server::with_map().await;
-    answers(&client, "drive", "robot", (1..=10).map(as_words)).await;
+    answers(&client, "drive", "robot", (1..=10).map(frame)).await;
     let file = export(&client, "drive").await;
     let before = rows(server.directory()).await;
     // One job at a time: this one keeps the import waiting.
@@ -81,7 +81,7 @@ async fn an_import_that_fails_half_stored_leaves_nothing() {
 #[tokio::test(flavor = "multi_thread")]
 async fn what_a_crash_left_of_an_import_is_taken_away() {
     let (server, client) = Server::with_map().await;
-    answers(&client, "drive", "robot", (1..=10).map(as_words)).await;
+    answers(&client, "drive", "robot", (1..=10).map(frame)).await;
     let file = export(&client, "drive").await;
     server.stop().await;
 

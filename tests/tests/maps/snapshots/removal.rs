@@ -15,7 +15,7 @@ async fn enlarge(directory: &Path, rows: u32) {
 async fn a_deleted_maps_name_is_free_at_once_and_others_go_on() {
     const ROWS: u32 = 20_000;
     let (server, client) = Server::with_map().await;
-    answers(&client, "drive", "robot", (1..=6).map(as_words)).await;
+    answers(&client, "drive", "robot", (1..=6).map(frame)).await;
     client.create_map(map_request("other", "shipped")).await.unwrap();
     let (mut raw, _) = RawStream::open(&server.endpoint(), open("drive", "robot")).await.unwrap();
     enlarge(server.directory(), ROWS).await;
@@ -40,7 +40,7 @@ async fn a_deleted_maps_name_is_free_at_once_and_others_go_on() {
     client.create_map(map_request("drive", "shipped")).await.unwrap();
     assert_eq!(names().await, ["maps/drive", "maps/other"]);
     for map in ["other", "drive"] {
-        let answers = answers(&client, map, "robot", (1..=6).map(as_words)).await;
+        let answers = answers(&client, map, "robot", (1..=6).map(frame)).await;
         assert_eq!(answers.len(), 6);
         assert_eq!(state_hash(&client, map).await, reference().maps[6].state_hash);
     }
@@ -69,7 +69,7 @@ async fn a_deletion_that_was_cut_off_goes_on() {
     let model = import_model(&client).await;
     let before = rows(directory.path()).await;
     client.create_map(map_request("drive", &model.name)).await.unwrap();
-    answers(&client, "drive", "robot", (1..=6).map(as_words)).await;
+    answers(&client, "drive", "robot", (1..=6).map(frame)).await;
     enlarge(directory.path(), 20_000).await;
     client.delete_map("drive").await.unwrap();
     server.kill();
