@@ -13,8 +13,8 @@ import { bring, clean, grown, rest, until } from "./server.mjs";
 // It prints JSON without being asked to.
 const SIZES = process.argv.slice(2).filter((word) => word !== "--json").map(Number);
 const TIMES = 5;
-/** Pairs along a side of a tile's coarsest cells, for maps that have so many places. */
-const TILE_LEVELS = [{ level: 0, pairs: 256 }, { level: 5, pairs: 8192 }];
+/** Tiles of the match matrix by the pairs along their side, for maps that have so many places. */
+const TILES = [{ level: 0, pairs: 256 }, { level: 5, pairs: 8192 }];
 const kept = process.env.FIGURES_DATA;
 
 const median = (values) => [...values].sort((a, b) => a - b)[Math.floor(values.length / 2)];
@@ -67,10 +67,10 @@ async function measure(browser, places) {
     for (let time = 0; time < TIMES; time++) fps.push(await panned(page, canvas));
     const drawn = Number(await canvas.getAttribute("data-drawn"));
     await context.close();
-    const tiles = [];
+    const tiles = {};
     const matrix = await cost(url, "matrix");
-    for (const { level, pairs } of TILE_LEVELS.filter(({ pairs }) => pairs <= there)) {
-        tiles.push({ pairs, ...await cost(url, `matrix/tiles/${level}/0/0`) });
+    for (const { level, pairs } of TILES.filter(({ pairs }) => pairs <= there)) {
+        tiles[`of_${pairs}`] = await cost(url, `matrix/tiles/${level}/0/0`);
     }
     return {
         matrix, tiles,
