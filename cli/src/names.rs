@@ -9,6 +9,17 @@ pub(crate) fn short_map(name: &str) -> &str {
     name.strip_prefix("maps/").unwrap_or(name)
 }
 
+/// A name for a session: what no server would take is said before anything else is looked at.
+pub(crate) fn new_session(id: &str) -> Result<String, String> {
+    let is_lower = |byte: u8| byte.is_ascii_lowercase() || byte.is_ascii_digit();
+    let is_name =
+        id.bytes().enumerate().all(|(at, byte)| is_lower(byte) || (at > 0 && b"-_".contains(&byte)));
+    if is_name && id.len() <= 63 {
+        return Ok(id.to_owned());
+    }
+    Err("use 1 to 63 of a-z, 0-9, - and _, beginning with a letter or digit".to_owned())
+}
+
 /// The first twelve digits of a model's hash: enough to name it by.
 pub(crate) fn short(name: &str) -> &str {
     let hash = name.strip_prefix("models/").unwrap_or(name);
@@ -62,6 +73,16 @@ pub(crate) fn session_name(map: &str, session: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn names_of_sessions_are_those_that_servers_take() {
+        for name in ["", "monday", "2024-05-01_b"] {
+            assert_eq!(new_session(name), Ok(name.to_owned()));
+        }
+        for name in ["Monday", "-a", "a b", "maps/hall/sessions/a", &"a".repeat(64)] {
+            assert!(new_session(name).is_err(), "{name}");
+        }
+    }
 
     #[test]
     fn a_number_is_name_enough() {

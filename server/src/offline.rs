@@ -327,7 +327,8 @@ async fn check_addresses(config: &Config) -> Result<String, String> {
             Ok(listener) => held.push(listener),
             Err(error) => {
                 return Err(format!(
-                    "cannot listen on {address}: {error}; stop what runs there, or choose another {option}"
+                    "cannot listen on {address}: {error}; stop what runs there, or choose another {option}. A copy that no server is \
+                     to serve is read by `check --deep`, which leaves addresses out"
                 ));
             }
         }

@@ -25,6 +25,7 @@ use crate::drive::Topics;
 use crate::failure::{EXIT_CODES, Failure};
 use crate::files::{Asking, Replacing};
 use crate::frame_row::FrameRow;
+use crate::names::new_session;
 use crate::output::Output;
 use crate::panorama::Projection;
 use crate::progress;
@@ -58,7 +59,7 @@ pub(crate) struct Arguments {
     #[arg(long)]
     map: String,
     /// Name of the session: 1 to 63 of a-z, 0-9, - and _; if left out, the server chooses one
-    #[arg(long, value_name = "ID", default_value = "", hide_default_value = true)]
+    #[arg(long, value_name = "ID", default_value = "", hide_default_value = true, value_parser = new_session)]
     session: String,
     /// Odometry, joined to the images by time, or one row per image; --help describes the formats
     #[arg(long, value_name = "FILE")]

@@ -1,5 +1,7 @@
 //! Maps: create, list, get; their places and loop closures.
 
+mod extent;
+
 use std::sync::Arc;
 
 use fabmap::appearance::PlaceId;
@@ -8,6 +10,7 @@ use tokio::runtime::Handle;
 use topomap::mapper::Mapper;
 use topomap::settings::MapperSettings;
 
+pub(crate) use self::extent::MapExtent;
 use super::corrections::{CorrectionCounts, CorrectionView, Corrections};
 use super::map_names::{MapNames, map_exists};
 use super::models::Models;
@@ -37,6 +40,8 @@ pub(crate) struct MapView {
     pub(crate) state_hash: Option<String>,
     /// What it takes on the disk, if asked for.
     pub(crate) bytes: Option<MapBytes>,
+    /// How far it reaches, if asked for and measured.
+    pub(crate) extent: Option<MapExtent>,
 }
 
 /// Whether the state hash and the weight are wanted: they take time.
@@ -274,15 +279,16 @@ impl Maps {
         let settings = map_settings::from_json(&row.settings)?;
         let counts = self.storage.map_counts(row.id).await?;
         let corrections = Corrections::read(&self.storage, row.id).await?.counts();
-        let (state_hash, bytes) = match detail {
-            Detail::Basic => (None, None),
+        let (state_hash, bytes, extent) = match detail {
+            Detail::Basic => (None, None, None),
             Detail::Full => {
-                let state_hash = self.open_maps.open_of(&row).await?.state_hash().await?;
-                (Some(state_hash), Some(self.storage.map_bytes(row.id).await?))
+                let open = self.open_maps.open_of(&row).await?;
+                let extent = MapExtent::of(&*open.poses().await?);
+                (Some(open.state_hash().await?), Some(self.storage.map_bytes(row.id).await?), extent)
             }
         };
         let MapRow { id: _, name, model, settings: _, created_ns, edition: _ } = row;
-        Ok(MapView { map: name, model, settings, created_ns, counts, corrections, state_hash, bytes })
+        Ok(MapView { map: name, model, settings, created_ns, counts, corrections, state_hash, bytes, extent })
     }
 }
 

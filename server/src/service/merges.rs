@@ -1,6 +1,7 @@
 //! Maps that become one: looked for, proposed, and then committed, discarded or undone.
 
 mod asking;
+mod cameras;
 mod commit;
 mod picture;
 mod report;

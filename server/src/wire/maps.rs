@@ -8,11 +8,10 @@ use super::references::frame_reference;
 use super::settings::settings_message;
 use crate::names::{map_name, model_name};
 use crate::service::corrections::CorrectionCounts;
-use crate::service::maps::{LoopClosureView, MapView};
-use crate::service::maps::{MapBytes, MapCounts};
+use crate::service::maps::{LoopClosureView, MapBytes, MapCounts, MapExtent, MapView};
 
 pub(crate) fn map(view: MapView) -> v1::Map {
-    let MapView { map, model, settings, created_ns, counts, corrections, state_hash, bytes } = view;
+    let MapView { map, model, settings, created_ns, counts, corrections, state_hash, bytes, extent } = view;
     let MapCounts { sessions, frames, loop_closures, places, links } = counts;
     let CorrectionCounts { withdrawn, confirmed, links_added, links_taken_out } = corrections;
     v1::Map {
@@ -29,7 +28,13 @@ pub(crate) fn map(view: MapView) -> v1::Map {
         storage: bytes.map(|bytes| storage(bytes, frames)),
         withdrawn_loop_closures: withdrawn,
         confirmed_loop_closures: confirmed,
+        extent: extent.map(map_extent),
     }
+}
+
+fn map_extent(extent: MapExtent) -> v1::MapExtent {
+    let MapExtent { parts, measured_places, sides_m: [length_m, width_m] } = extent;
+    v1::MapExtent { parts, measured_places, length_m, width_m }
 }
 
 fn storage(bytes: MapBytes, frames: u64) -> v1::MapStorage {

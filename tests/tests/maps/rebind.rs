@@ -53,7 +53,7 @@ async fn a_recalibrated_model_is_taken_and_decides_from_then_on() {
 
     // To the same model again is nothing; back to the first, and the drive goes on as if nothing had been.
     let again = client.rebind_map("drive", &taken.name).await.unwrap();
-    assert_eq!(again, v1::Map { state_hash: None, storage: None, ..after });
+    assert_eq!(again, v1::Map { state_hash: None, storage: None, extent: None, ..after });
     client.rebind_map("drive", &shipped).await.unwrap();
     mapped(&client, "robot", MAPPED + 1..=60).await;
     assert_eq!(state_hash(&client, "drive").await, reference_by_words().maps[60].state_hash);

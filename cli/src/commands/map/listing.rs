@@ -40,6 +40,7 @@ pub(super) fn show(map: &v1::Map, output: Output) -> Result<(), Failure> {
         if map.confirmed_loop_closures > 0 {
             writeln!(out, "  confirmed by people  {}", map.confirmed_loop_closures)?;
         }
+        writeln!(out, "  metres               {}", metres_words(map.extent.as_ref()))?;
         fields(out, &map.settings, "the model's")?;
         if map.settings.as_ref().is_some_and(verifies_nothing) {
             writeln!(
@@ -50,6 +51,16 @@ pub(super) fn show(map: &v1::Map, output: Output) -> Result<(), Failure> {
         fields(out, &map.storage, "none")?;
         map.state_hash.as_ref().map_or(Ok(()), |hash| writeln!(out, "  state hash           {hash}"))
     })
+}
+
+/// How far a map reaches.
+fn metres_words(extent: Option<&v1::MapExtent>) -> String {
+    let Some(v1::MapExtent { parts, measured_places, length_m, width_m }) = extent else {
+        return "none: the way between two places was never measured".to_owned();
+    };
+    let [length, width] = [length_m, width_m].map(|metres| rounded(*metres, 1));
+    let of_parts = if *parts > 1 { format!("; the largest of {parts} parts") } else { String::new() };
+    format!("{length} x {width} m, {measured_places} places measured{of_parts}")
 }
 
 /// Whether there is nothing by which the map could verify.

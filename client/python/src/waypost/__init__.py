@@ -25,6 +25,7 @@ from waypost.answers import (
     Timings,
 )
 from waypost.calls import JobProgress, MapEvents
+from waypost.cameras import read_camera
 from waypost.client import Client, connect, lazy
 from waypost.doubts import OdometryWarning
 from waypost.errors import (
@@ -127,4 +128,5 @@ __all__ = [
     "image_files",
     "lazy",
     "png",
+    "read_camera",
 ]

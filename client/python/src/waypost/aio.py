@@ -81,6 +81,7 @@ class AsyncClient:
     maps = _awaited(Client.maps)
     map = _awaited(Client.map)
     create_map = _awaited(Client.create_map)
+    get_or_create_map = _awaited(Client.get_or_create_map)
     delete_map = _awaited(Client.delete_map)
     loop_closures = _awaited(Client.loop_closures)
     rebind_map = _awaited(Client.rebind_map)

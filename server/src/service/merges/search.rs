@@ -5,15 +5,17 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use rayon::prelude::*;
 use tokio::runtime::Handle;
 use topomap::merging::{
-    MergeError, MergeObserver, MergeSettings, PairComparison, PlaceMatch, PlacePair, Verdict, find_matches,
-    join, judge, pairs_to_compare,
+    Apart, MergeError, MergeObserver, MergeSettings, PairComparison, PlaceMatch, PlacePair, Verdict,
+    find_matches, join, judge, pairs_to_compare,
 };
 
+use super::cameras::difference;
 use super::picture::{Panel, svg};
 use super::report::Metres;
 use super::{
     CommitPolicy, Joining, MapOverlap, MergeReport, MergeTarget, Merges, Proposal, SourceOutcome, Target,
 };
+use crate::camera::Camera;
 use crate::error::ServiceError;
 use crate::open_map::verifier;
 use crate::service::jobs::{JobOutcome, JobReporter, Stopped};
@@ -148,7 +150,7 @@ impl Search {
             let plan = match self.meet(&source, merged)? {
                 Verdict::Overlap(plan) => plan,
                 Verdict::Apart(why) => {
-                    *outcome = SourceOutcome::NoOverlap(why.to_string());
+                    *outcome = SourceOutcome::NoOverlap(self.reason(why, &source.row, &merged.row)?);
                     apart.push((index, source));
                     continue;
                 }
@@ -169,6 +171,24 @@ impl Search {
             joining.push(Joining { source: index, row: source.row, events, plan });
         }
         Ok(apart)
+    }
+
+    /// Why a source stays apart; where too little matches, also that their cameras see differently. Blocks.
+    fn reason(&self, why: Apart, source: &MapRow, target: &MapRow) -> Result<String, ServiceError> {
+        let cameras = |map: &MapRow| -> Result<Vec<Camera>, ServiceError> {
+            let declared = self.runtime.block_on(self.storage.cameras(map.id))?;
+            Ok(declared.into_iter().map(|(_, camera)| camera).collect())
+        };
+        let difference = match why {
+            Apart::NoMatches | Apart::TooLittleSupport { .. } | Apart::TooLittleEvidence { .. } => {
+                difference((&source.name, &cameras(source)?), (&target.name, &cameras(target)?))
+            }
+            Apart::NothingMeasured
+            | Apart::NothingToGoInto
+            | Apart::Ambiguous { .. }
+            | Apart::Contradicted(_) => None,
+        };
+        Ok(difference.map_or_else(|| why.to_string(), |difference| format!("{why}; {difference}")))
     }
 
     fn disk(&self) -> Disk<'_> {

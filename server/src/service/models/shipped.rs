@@ -9,6 +9,9 @@ const FILE: &[u8] = include_bytes!("../../../../demo/model.waypost");
 /// What people call it.
 const DISPLAY_NAME: &str = "shipped";
 
+/// Models that are named to whoever has to choose one.
+const MOST_NAMED: u32 = 5;
+
 impl Models {
     /// Takes in the model that ships, unless there is any model already: whoever has models of their own chose them.
     pub(crate) async fn take_in_shipped(&self) -> Result<(), ServiceError> {
@@ -24,14 +27,28 @@ impl Models {
         if !reference.is_empty() {
             return self.find(reference).await;
         }
-        let mut models = self.storage.models(None, 2).await?;
+        let mut models = self.storage.models(None, MOST_NAMED + 1).await?;
         match (models.pop(), models.is_empty()) {
             (Some(model), true) => Ok(model),
-            (Some(_), false) => Err(ServiceError::invalid(
-                "the server has more than one model, so name one: by its hash, the beginning of it, or its display \
-                 name; list the models to see what there is",
-            )),
+            (Some(last), false) => {
+                models.push(last);
+                Err(ServiceError::invalid(format_args!(
+                    "the server has more than one model, so name one, by its display name or its hash: {}",
+                    named(&models)
+                )))
+            }
             (None, _) => Err(ServiceError::not_found("the server has no model; train or import one")),
         }
     }
+}
+
+/// Some models by what each is called, or by its hash.
+fn named(models: &[ModelRow]) -> String {
+    let name = |model: &ModelRow| match model.display_name.as_str() {
+        "" => model.hash.chars().take(12).collect(),
+        display_name => display_name.to_owned(),
+    };
+    let names: Vec<String> = models.iter().take(MOST_NAMED as usize).map(name).collect();
+    let more = if models.len() > names.len() { ", and others" } else { "" };
+    format!("{}{more}", names.join(", "))
 }

@@ -8,6 +8,7 @@ from typing import Any
 from waypost import answers
 from waypost.answers import LoopClosure
 from waypost.connection import Connection, File, chunks, resource
+from waypost.errors import AlreadyExists
 from waypost.v1 import job_pb2, map_pb2
 
 
@@ -51,6 +52,20 @@ class MapCalls:
         request = map_pb2.CreateMapRequest(map_id=map_id, model=model, settings=settings)
         made: map_pb2.Map = self._connection.call(self._connection.maps.CreateMap, request)
         return made
+
+    def get_or_create_map(
+        self, map_id: str, model: str = "", settings: map_pb2.MapSettings | None = None
+    ) -> map_pb2.Map:
+        """The map of that name as it is; where there is none, one is made as by `create_map`.
+
+        Raises:
+            NotFound: If the map is to be made, and there is no such model.
+            InvalidArgument: If it is to be made, no model is named, and the server has more than one.
+        """
+        try:
+            return self.create_map(map_id, model, settings)
+        except AlreadyExists:
+            return self.map(map_id)
 
     def delete_map(self, map_id: str) -> None:
         """Deletes a map with all its sessions.
