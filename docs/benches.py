@@ -1,4 +1,4 @@
-"""Runs a benchmark of a crate, and prints its medians as JSON: `python docs/benches.py posegraph relaxation`.
+"""Runs a benchmark, and prints its medians as JSON: `python docs/benches.py relaxation`.
 
 Each benchmark has a name, and a median in milliseconds for each of its groups, by their names.
 """
@@ -27,11 +27,12 @@ def benchmarks(reports: Path) -> list[dict[str, object]]:
 
 def main() -> None:
     """Runs it, and reads what it left."""
-    crate, bench, *_json = sys.argv[1:]
+    bench, *_json = sys.argv[1:]
     # Beside those of other benchmarks its own could not be told.
     reports = TARGET / "criterion-of" / bench
     subprocess.run(
-        ["cargo", "bench", "--locked", "--package", crate, "--bench", bench],
+        # Of the workspace, whose dependencies have the features that they were built with.
+        ["cargo", "bench", "--locked", "--workspace", "--bench", bench],
         check=True,
         cwd=REPOSITORY,
         stdout=sys.stderr,
