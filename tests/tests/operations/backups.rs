@@ -1,5 +1,6 @@
 //! Backups while robots stream, and data directories made of them.
 
+use std::net::TcpListener;
 use std::path::Path;
 use std::process::Output;
 
@@ -11,8 +12,13 @@ use crate::harness::{
 
 /// Runs `waypost-server` on a data directory; its exit code and all that it says.
 fn run(data: &Path, arguments: &[&str]) -> (i32, String) {
+    run_at("127.0.0.1:0", data, arguments)
+}
+
+/// The same, of a server that robots are to find at an address.
+fn run_at(grpc_address: &str, data: &Path, arguments: &[&str]) -> (i32, String) {
     let mut command = Built::command("waypost-server");
-    let ports = ["--grpc-address", "127.0.0.1:0", "--http-address", "127.0.0.1:0"];
+    let ports = ["--grpc-address", grpc_address, "--http-address", "127.0.0.1:0"];
     command.args(["--data-dir", data.to_str().unwrap()]).args(ports).args(arguments);
     let Output { status, stdout, stderr } = run_to_its_end(command);
     let said = format!("{}{}", String::from_utf8(stdout).unwrap(), String::from_utf8(stderr).unwrap());
@@ -52,6 +58,13 @@ async fn a_backup_made_while_a_robot_streams_is_whole_and_restored_by_one_comman
     let (code, said) = in_time(backing_up.unwrap()).await.unwrap();
     assert_eq!(code, 0, "{said}");
     assert!(said.contains("ok     contents: 1 models and 1 maps"), "{said}");
+    // A copy is looked at beside the server whose address is taken.
+    let taken = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = taken.local_addr().unwrap().to_string();
+    let (code, said) = run_at(&address, &backup, &["check", "--deep"]);
+    assert!(code == 0 && said.contains("ok     contents: "), "{said}");
+    let (code, said) = run_at(&address, &backup, &["check"]);
+    assert!(code != 0 && said.contains("`check --deep`, which leaves addresses out"), "{said}");
     // Nothing is overwritten, on either side.
     let (code, said) = run(data.path(), &["backup", backup.to_str().unwrap()]);
     assert!(code != 0 && said.contains("move it away first"), "{said}");

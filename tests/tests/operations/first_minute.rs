@@ -56,6 +56,7 @@ async fn a_map_needs_no_model_to_be_chosen() {
     waypost.text(&["model", "import", path(&file), "--name", "site"]);
     let (code, stderr) = waypost.fails(&["map", "create", "cellar"]);
     assert!(code == 4 && stderr.contains("more than one model, so name one"), "{code}: {stderr}");
+    assert!(stderr.contains("site, shipped"), "the newest first: {stderr}");
     assert_eq!(create("cellar").await.status(), StatusCode::BAD_REQUEST);
 
     // And of none.

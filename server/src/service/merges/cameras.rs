@@ -73,11 +73,11 @@ mod tests {
 
     #[test]
     fn panoramas_see_all_around() {
-        let panorama =
-            Camera { model: Some(CameraModel::Cylindrical { vertical_rad: 1.0 }), ..Camera::default() };
-        let told = difference(("a", &[panorama.clone()]), ("b", &[narrow()])).unwrap();
+        let model = Some(CameraModel::Cylindrical { vertical_rad: 1.0 });
+        let panorama = [Camera { model, ..Camera::default() }];
+        let told = difference(("a", &panorama), ("b", &[narrow()])).unwrap();
         assert!(told.contains("360 degrees across"), "{told}");
-        assert_eq!(difference(("a", &[panorama.clone()]), ("b", &[panorama])), None);
+        assert_eq!(difference(("a", &panorama), ("b", &panorama)), None);
     }
 
     #[test]

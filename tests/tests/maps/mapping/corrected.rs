@@ -52,6 +52,9 @@ async fn a_withdrawn_closure_is_told_everywhere_and_undone_to_the_bit() {
     use v1::export_poses_request::{Body, Format, Frame};
     let (directory, server, client, drive) = mapped().await;
     let before = client.map("drive", v1::MapView::Full).await.unwrap();
+    let extent = before.extent.unwrap();
+    assert_eq!((extent.parts, extent.measured_places), (1, before.places), "{extent:?}");
+    assert!(extent.length_m > 1.0 && extent.width_m > 0.0, "{extent:?}");
     let closures = client.loop_closures("drive").await.unwrap();
     assert!(closures.len() >= 10, "{} closures", closures.len());
     let closure = &closures[closures.len() / 2];
