@@ -1,10 +1,12 @@
-"""Plays a ROS 2 robot over DDS, for packaging/try: play_robot.py FOLDER publishes its images, each a second later by its stamps.
+"""Plays a ROS 2 robot over DDS: play_robot.py FOLDER publishes its images, each a second later by its stamps.
 
-Needs ros/tests beside it, which has the messages. It ends once a bridge has heard all.
+Needs ros/tests on the PYTHONPATH, which has the messages, and Cyclone DDS. ROS_DOMAIN_ID names the domain, as for ROS. It waits for a
+bridge, and ends once all is published.
 """
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from pathlib import Path
@@ -14,7 +16,7 @@ from robot import LOSSLESS, SECOND_NS, Robot, until
 
 TOPIC = "camera/image_raw/compressed"
 
-robot = Robot(domain=0)
+robot = Robot(domain=int(os.environ.get("ROS_DOMAIN_ID", "0")))
 robot.advertise(TOPIC, ros.CompressedImage, LOSSLESS)
 until(lambda: robot.is_heard(TOPIC), what="no bridge listens")
 for second, image in enumerate(sorted(Path(sys.argv[1]).iterdir()), 1):

@@ -6,18 +6,33 @@ import re
 import shlex
 import shutil
 import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
 import pytest
 import ros_types as ros
-from conftest import FOCAL_PX, IMAGES, REPOSITORY, SIZE_PX, Diagnostics, Stage, binary, environment, met, way
+from conftest import (
+    FOCAL_PX,
+    IMAGES,
+    PATIENCE_S,
+    REPOSITORY,
+    SIZE_PX,
+    Diagnostics,
+    Stage,
+    binary,
+    environment,
+    met,
+    way,
+)
 from PIL import Image as Picture
 from robot import LOSSLESS, SECOND_NS, Robot, until
 from test_services import Asking
 
 PAGE = (REPOSITORY / "docs" / "guide" / "src" / "ros2.md").read_text()
 COMMAND = re.compile(r"^target/release/waypost-ros([^#\n]*)", re.MULTILINE)
+#: The robot that a peer plays, for the command that waits for it.
+PLAYED = re.compile(r"^PYTHONPATH=(\S+) target/python/bin/python (\S+) \S+/images$", re.MULTILINE)
 #: A file that the page writes: its name, and what is in it.
 WRITTEN = re.compile(r"^cat > (\S+) <<'TOML'\n(.*?)^TOML$", re.MULTILINE | re.DOTALL)
 #: So many of the page's commands there are at least.
@@ -29,6 +44,10 @@ def commands() -> list[list[str]]:
     found = [shlex.split(match[1]) for match in COMMAND.finditer(PAGE)]
     assert len(found) >= LEAST, "the page's commands are not found"
     return found
+
+
+def is_beside_another(command: list[str]) -> bool:
+    return command[-1:] == ["&"]
 
 
 def raw(stamp_ns: int, image: Path) -> ros.Image:
@@ -82,7 +101,7 @@ def drives(robot: Robot, topics: tuple[str, str, str], told: Diagnostics) -> Non
     until(answered, 30.0, what=f"{told()}")
 
 
-@pytest.mark.parametrize("flags", commands(), ids=" ".join)
+@pytest.mark.parametrize("flags", [each for each in commands() if not is_beside_another(each)], ids=" ".join)
 def test_what_the_page_tells_one_to_run_runs(stage: Stage, tmp_path: Path, flags: list[str]) -> None:
     given = dict(zip(flags, [*flags[1:], ""], strict=True))
     for name, content in WRITTEN.findall(PAGE):
@@ -115,4 +134,27 @@ def test_what_the_page_tells_one_to_run_runs(stage: Stage, tmp_path: Path, flags
         assert "ws://127.0.0.1:" in bridge.said()
     named = given.get("--session", "")
     assert f"{named} is open" in bridge.said()
+    assert bridge.end() == 0
+
+
+def test_a_peer_plays_a_robot(stage: Stage, tmp_path: Path) -> None:
+    [flags] = [command[:-1] for command in commands() if is_beside_another(command)]
+    [(modules, program)] = PLAYED.findall(PAGE)
+    drive = tmp_path / "drive"
+    drive.mkdir()
+    for image in IMAGES[:10]:
+        shutil.copy(image, drive)
+    bridge = stage.bridge(*flags)
+    playing = {"PYTHONPATH": str(REPOSITORY / modules), "ROS_DOMAIN_ID": str(stage.domain)}
+    subprocess.run(
+        [sys.executable, REPOSITORY / program, drive],
+        env=environment() | playing,
+        check=True,
+        timeout=PATIENCE_S,
+    )
+
+    def frames() -> int:
+        return len(list(stage.client.frames("maps/hall/sessions/played")))
+
+    until(lambda: frames() == 10, what=bridge.said())
     assert bridge.end() == 0

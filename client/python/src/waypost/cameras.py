@@ -97,7 +97,9 @@ def _of_kalibr(path: Path, sheet: Any) -> geometry_pb2.Camera | None:
     if model != "pinhole":
         raise ValueError(f"{path}: cameras of the model {model} cannot be declared; pinhole can")
     resolution = _numbers(path, sheet, "resolution", 2)
-    distortion = next((name for name in ("distortion_coeffs", "distortion_coefficients") if name in sheet), "")
+    distortion = next(
+        (name for name in ("distortion_coeffs", "distortion_coefficients") if name in sheet), ""
+    )
     return _camera(
         path,
         str(sheet.get("distortion_model", "none")),
@@ -123,7 +125,9 @@ def _camera(
         distortion = []
     if len(distortion) not in _DISTORTIONS[lens]:
         expected = " or ".join(str(count) for count in _DISTORTIONS[lens])
-        raise ValueError(f"{path}: a lens of the model {model} has {expected} numbers of distortion, not {len(distortion)}")
+        raise ValueError(
+            f"{path}: a lens of the model {model} has {expected} numbers of distortion, not {len(distortion)}"
+        )
     fx_px, fy_px, cx_px, cy_px = focal_and_centre
     if min(fx_px, fy_px) <= 0 or min(size) <= 0:
         raise ValueError(f"{path} is of a camera that nobody calibrated: its focal lengths or its size are 0")
