@@ -16,7 +16,7 @@ _DISTORTIONS = {"pinhole": (0, 4, 5), "fisheye": (0, 4)}
 
 
 def read_camera(file: str | os.PathLike[str]) -> geometry_pb2.Camera:
-    """The camera that a calibration file describes, to be declared by `client.session(…, camera=…)`.
+    r"""The camera that a calibration file describes, to be declared by `client.session(…, camera=…)`.
 
     It reads what ROS's `camera_calibration` writes and `ros2 topic echo` shows of a `CameraInfo`, Kalibr's
     camchain (`cam0` is taken), and EuRoC's `sensor.yaml`. Where the camera sits on the robot is none of these
@@ -28,9 +28,9 @@ def read_camera(file: str | os.PathLike[str]) -> geometry_pb2.Camera:
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     file = Path(folder, "camera.yaml")
     ...     _ = file.write_text(
-    ...         "image_width: 640\\nimage_height: 480\\ndistortion_model: plumb_bob\\n"
-    ...         "camera_matrix: {data: [438.8, 0, 305.6, 0, 437.4, 243.3, 0, 0, 1]}\\n"
-    ...         "distortion_coefficients: {data: [-0.36, 0.09, 0, 0, 0]}\\n"
+    ...         "image_width: 640\nimage_height: 480\ndistortion_model: plumb_bob\n"
+    ...         "camera_matrix: {data: [438.8, 0, 305.6, 0, 437.4, 243.3, 0, 0, 1]}\n"
+    ...         "distortion_coefficients: {data: [-0.36, 0.09, 0, 0, 0]}\n"
     ...     )
     ...     read_camera(file).pinhole.fx_px
     438.8
@@ -41,14 +41,14 @@ def read_camera(file: str | os.PathLike[str]) -> geometry_pb2.Camera:
         ImportError: If PyYAML is not installed.
     """
     path = Path(file)
-    text = path.read_text()
+    text = path.read_text(encoding="utf-8")
     # OpenCV writes a first line that YAML does not have.
     sheet = _first_document(path, text.removeprefix("%YAML:1.0"))
     camera = _of_ros(path, sheet) or _of_kalibr(path, sheet.get("cam0", sheet))
     if camera is None:
         raise ValueError(
-            f"{path} describes no camera: it has neither camera_matrix or k, as ROS writes, nor intrinsics and "
-            "resolution, as Kalibr does"
+            f"{path} describes no camera: it has neither camera_matrix or k, as ROS writes, nor intrinsics "
+            "and resolution, as Kalibr does"
         )
     return camera
 
@@ -59,16 +59,15 @@ def _first_document(path: Path, text: str) -> dict[str, Any]:
     except ImportError as error:
         raise ImportError("calibration files need PyYAML: pip install waypost[calibration]") from error
 
-    class Loader(yaml.SafeLoader):
-        """Which takes OpenCV's matrices for what they are."""
-
     def matrix(loader: Any, node: Any) -> Any:
         return loader.construct_mapping(node, deep=True)
 
+    # Which takes OpenCV's matrices for what they are.
+    loader: Any = type("Loader", (yaml.SafeLoader,), {})
     for tag in ("!opencv-matrix", "tag:yaml.org,2002:opencv-matrix"):
-        Loader.add_constructor(tag, matrix)
+        loader.add_constructor(tag, matrix)
     try:
-        sheet = next(yaml.load_all(text, Loader), None)  # noqa: S506
+        sheet = next(yaml.load_all(text, loader), None)
     except yaml.YAMLError as error:
         raise ValueError(f"{path} is no YAML: {error}") from error
     return sheet if isinstance(sheet, dict) else {}
@@ -118,8 +117,8 @@ def _camera(
         lens, distortion = "pinhole", distortion[:5]
     if lens is None:
         raise ValueError(
-            f"{path}: a lens of the model {model} cannot be declared; plumb_bob (radtan) and equidistant can: calibrate "
-            "with one of these"
+            f"{path}: a lens of the model {model} cannot be declared; plumb_bob (radtan) and equidistant "
+            "can: calibrate with one of these"
         )
     if not any(distortion):
         distortion = []
@@ -132,11 +131,9 @@ def _camera(
     if min(fx_px, fy_px) <= 0 or min(size) <= 0:
         raise ValueError(f"{path} is of a camera that nobody calibrated: its focal lengths or its size are 0")
     camera = geometry_pb2.Camera(image_width_px=size[0], image_height_px=size[1])
-    numbers = {"fx_px": fx_px, "fy_px": fy_px, "cx_px": cx_px, "cy_px": cy_px, "distortion": distortion}
-    if lens == "pinhole":
-        camera.pinhole.CopyFrom(geometry_pb2.Pinhole(**numbers))
-    else:
-        camera.fisheye.CopyFrom(geometry_pb2.Fisheye(**numbers))
+    seen = camera.pinhole if lens == "pinhole" else camera.fisheye
+    seen.fx_px, seen.fy_px, seen.cx_px, seen.cy_px = fx_px, fy_px, cx_px, cy_px
+    seen.distortion.extend(distortion)
     return camera
 
 
