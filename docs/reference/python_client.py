@@ -29,6 +29,7 @@ CHAPTERS: dict[str, tuple[str, ...]] = {
         "MAX_IMAGE_BYTES",
         "png",
         "image_files",
+        "read_camera",
     ),
     "Answers": (
         *(
