@@ -85,6 +85,17 @@ def looped(client: waypost.Client, hall: str, drive: range) -> str:
         return session.name
 
 
+def test_a_map_is_made_once(client: waypost.Client, hall: str) -> None:
+    # One that is there stays, whatever would be made in its place.
+    there = client.get_or_create_map(hall, "no such model", map_pb2.MapSettings(closure_threshold=0.5))
+    assert there == client.map(hall)
+    assert there.settings.closure_threshold == 0.99
+    made = client.get_or_create_map(f"{hall}-2", "shipped")
+    assert made == client.get_or_create_map(f"{hall}-2") == client.map(f"{hall}-2")
+    with pytest.raises(waypost.NotFound, match="model"):
+        client.get_or_create_map(f"{hall}-3", "no such model")
+
+
 def test_a_frame_may_be_asked_about_by_what_its_robot_calls_it(client: waypost.Client, hall: str) -> None:
     notes = ["000001.jpg", "000002.jpg", "twice.jpg", "twice.jpg"]
     with client.session(hall, "noted") as session:

@@ -22,7 +22,7 @@ def read_camera(file: str | os.PathLike[str]) -> geometry_pb2.Camera:
     camchain (`cam0` is taken), and EuRoC's `sensor.yaml`. Where the camera sits on the robot is none of these
     files' matter: set `base_to_camera`, or it is taken to look ahead from the robot's middle.
 
-    It needs PyYAML: `pip install waypost[calibration]`.
+    It needs PyYAML: `pip install PyYAML`, or the package with its extra `calibration`.
 
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
@@ -57,7 +57,7 @@ def _first_document(path: Path, text: str) -> dict[str, Any]:
     try:
         import yaml
     except ImportError as error:
-        raise ImportError("calibration files need PyYAML: pip install waypost[calibration]") from error
+        raise ImportError("calibration files need PyYAML: pip install PyYAML") from error
 
     def matrix(loader: Any, node: Any) -> Any:
         return loader.construct_mapping(node, deep=True)

@@ -8,7 +8,7 @@ from typing import Any
 from waypost import answers
 from waypost.answers import LoopClosure
 from waypost.connection import Connection, File, chunks, resource
-from waypost.errors import AlreadyExists
+from waypost.errors import AlreadyExists, NotFound
 from waypost.v1 import job_pb2, map_pb2
 
 
@@ -63,8 +63,13 @@ class MapCalls:
             InvalidArgument: If it is to be made, no model is named, and the server has more than one.
         """
         try:
+            return self.map(map_id)
+        except NotFound:
+            pass
+        try:
             return self.create_map(map_id, model, settings)
         except AlreadyExists:
+            # Somebody else was faster.
             return self.map(map_id)
 
     def delete_map(self, map_id: str) -> None:
