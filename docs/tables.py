@@ -117,11 +117,17 @@ def total(parts: list[Any], field: str) -> float:
     return sum(getattr(part, field) for part in parts)
 
 
+def where(parts: list[Any], **fields: Any) -> list[Any]:
+    """Those parts whose fields are so."""
+    return [part for part in parts if all(getattr(part, name) == value for name, value in fields.items())]
+
+
 #: What expressions may use besides a report's fields.
 HELPERS = {
     "__builtins__": {},
     "sum": sum,
     "total": total,
+    "where": where,
     "max": max,
     "min": min,
     "round": round,

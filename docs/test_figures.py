@@ -183,6 +183,10 @@ def test_rows_are_written_from_reports(monkeypatch: pytest.MonkeyPatch, tmp_path
             "| 12.3 % | −1.5 |\n| as | before |\n",
         ),
         (
+            "report | {len(where(runs, seed=2))} | {total(where(runs, seed=1), 'frames'):,} |",
+            "| 1 | 1,200 |\n",
+        ),
+        (
             "runs[1] | {frames} | {frames} |\nsome.runs[0] | {frames:,} | {seed} |",
             "| – | – |\n| 1,200 | 1 |\n",
         ),
