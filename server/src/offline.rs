@@ -138,19 +138,30 @@ pub struct Finding {
 /// wrong. The data directory is made if it is missing, nothing in it is changed.
 pub fn check(config: &Config) -> LocalBoxFuture<'_, Vec<Finding>> {
     Box::pin(async move {
-        let tls = check_tls(config);
-        let (data, tokens) = check_data(&config.location()).await;
-        let mut findings = vec![
-            Finding { subject: "certificates", result: tls },
-            Finding { subject: config.location().subject(), result: data },
-        ];
-        if let Some(tokens) = tokens {
-            findings.push(Finding { subject: "access", result: check_access(config, tokens) });
-            // While a server runs on the directory, the addresses are its own.
+        let (mut findings, tokens) = check_what_is_kept(config).await;
+        // While a server runs on the directory, the addresses are its own.
+        if tokens.is_some() {
             findings.push(Finding { subject: "addresses", result: check_addresses(config).await });
         }
         findings
     })
+}
+
+/// [`check`] without the addresses: a copy is read beside the server whose addresses they are.
+pub fn check_copy(config: &Config) -> LocalBoxFuture<'_, Vec<Finding>> {
+    Box::pin(async move { check_what_is_kept(config).await.0 })
+}
+
+/// Certificates, data and access, and how many tokens there are; `None` where the data cannot be read.
+async fn check_what_is_kept(config: &Config) -> (Vec<Finding>, Option<u64>) {
+    let tls = check_tls(config);
+    let (data, tokens) = check_data(&config.location()).await;
+    let mut findings = vec![
+        Finding { subject: "certificates", result: tls },
+        Finding { subject: config.location().subject(), result: data },
+    ];
+    findings.extend(tokens.map(|tokens| Finding { subject: "access", result: check_access(config, tokens) }));
+    (findings, tokens)
 }
 
 /// That something is about a data directory, which a database of PostgreSQL has not got.

@@ -26,7 +26,7 @@ use crate::names::{map_in, map_name};
 use crate::open_map::{MapHandle, OpenMaps};
 use crate::storage::{MapRow, Storage};
 
-/// A cell of the last level is of 32 x 32 pairs, and a tile of 67 million: two seconds of one core.
+/// A cell of the last level is of 32 x 32 pairs, and a tile of 67 million: two to seven seconds of one core.
 const MOST_LEVELS: u32 = 6;
 
 /// Looks that are asked of a map's writer at a time: it has robots to answer.
