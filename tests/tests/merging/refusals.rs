@@ -2,10 +2,11 @@
 
 use waypost_client::v1::merge::State;
 use waypost_client::v1::merge_source::Outcome;
-use waypost_client::{Code, v1};
+use waypost_client::{Code, SessionOptions, v1};
 
 use crate::harness::{
-    Server, assert_status, found, http, import_model, map_request, model_of_other_words, refused, take_model,
+    Server, answers_of, as_histogram, assert_status, camera_ahead, found, http, import_model, map_request,
+    model_of_other_words, refused, take_model, words_options,
 };
 
 use super::rounds::{OnceFound, done, request};
@@ -58,5 +59,28 @@ async fn what_cannot_be_merged_is_said() {
         .await
         .unwrap();
     assert!(asked.status().is_success(), "{asked:?}");
+    server.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn maps_of_cameras_that_see_otherwise_say_so() {
+    let server = Server::start().await;
+    let client = server.client().await;
+    let model = import_model(&client).await;
+    // Two stretches of the drive that show different places.
+    for (map, horizontal_deg, stretch) in [("wide", 85_f64, 1..=4), ("narrow", 65.0, 30..=33)] {
+        client.create_map(map_request(map, &model.name)).await.unwrap();
+        let seen = v1::FieldOfView { horizontal_rad: horizontal_deg.to_radians() };
+        let camera = v1::Camera { model: Some(v1::camera::Model::FieldOfView(seen)), ..camera_ahead() };
+        let options = SessionOptions { camera: Some(camera), ..words_options(map, "drive") };
+        answers_of(&client, options, stretch.map(as_histogram)).await;
+    }
+    let asked = client.merge_maps(request(&["wide"], "narrow", OnceFound::Commit)).await.unwrap();
+    let apart = done(&client, &asked).await;
+    let Some(Outcome::NoOverlapReason(why)) = &apart.sources[0].outcome else { panic!("{apart:?}") };
+    assert!(
+        why.contains("wide was mapped by a camera that sees 85 degrees across, narrow by one that sees 65"),
+        "{why}"
+    );
     server.stop().await;
 }

@@ -59,8 +59,12 @@ fn metres_words(extent: Option<&v1::MapExtent>) -> String {
         return "none: the way between two places was never measured".to_owned();
     };
     let [length, width] = [length_m, width_m].map(|metres| rounded(*metres, 1));
-    let of_parts = if *parts > 1 { format!("; the largest of {parts} parts") } else { String::new() };
-    format!("{length} x {width} m, {measured_places} places measured{of_parts}")
+    if *parts > 1 {
+        return format!(
+            "{length} x {width} m in the largest of {parts} parts; {measured_places} places measured in all"
+        );
+    }
+    format!("{length} x {width} m, {measured_places} places measured")
 }
 
 /// Whether there is nothing by which the map could verify.
