@@ -1,10 +1,11 @@
 //! What a server writes for, step by step: each step is acknowledged, and is whole or not at all.
 
 use std::io::Cursor;
+use std::time::Duration;
 
 use waypost_client::v1::merge::State as MergeState;
 use waypost_client::v1::trim_map_request::Mode;
-use waypost_client::{Client, Code, Error, FrameOutcome, v1};
+use waypost_client::{Client, Code, Error, FrameOutcome, Reconnection, SessionOptions, v1};
 
 use super::template::{BASE, OTHER, ROTTEN};
 use crate::harness::{
@@ -115,12 +116,10 @@ impl Operation {
         let mut prepared = Prepared::default();
         match self {
             Self::Frames => {
-                let session = client.open_session(words_options("drive", "killed")).await.unwrap();
-                prepared.session = Some(session.split());
+                prepared.session = Some(opened(client, words_options("drive", "killed")).await);
             }
             Self::Images => {
-                let session = client.open_session(session_options(BASE, "killed")).await.unwrap();
-                prepared.session = Some(session.split());
+                prepared.session = Some(opened(client, session_options(BASE, "killed")).await);
             }
             Self::Import => {
                 client.export_map(BASE, &mut prepared.snapshot).await.unwrap();
@@ -236,6 +235,15 @@ impl Operation {
             Self::Stop => Ok(()),
         }
     }
+}
+
+/// A session that gives up soon: nobody starts its server again.
+async fn opened(
+    client: &Client,
+    options: SessionOptions,
+) -> (waypost_client::FrameSender, waypost_client::Outcomes) {
+    let reconnection = Reconnection { give_up_after: Duration::from_millis(500), ..Reconnection::default() };
+    client.open_session(SessionOptions { reconnection, ..options }).await.unwrap().split()
 }
 
 async fn tokens(client: &Client, step: u64) -> Result<(), Broken> {
