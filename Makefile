@@ -124,9 +124,9 @@ setup-tests: setup-python
 	scripts/setup-inspector
 	scripts/setup-cpp
 
-# The client and the command line are built without what they can do without, too. The server is not about that: it has their
-# packages checked with the features that they were checked with before.
-WITHOUT_FEATURES = -p waypost-client -p waypost-cli -p waypost-server
+# The client, the command line and the bridge are built without what they can do without, too. The server is not about that: with
+# it, most of others' crates keep the features that they were checked with before.
+WITHOUT_FEATURES = -p waypost-client -p waypost-cli -p waypost-ros -p waypost-server
 
 # What must be clean before a change lands, besides the tests.
 check: setup
