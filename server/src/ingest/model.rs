@@ -1,14 +1,20 @@
 //! Models, ready for work.
 
 use std::collections::HashMap;
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::sync::{Arc, LazyLock, Mutex, MutexGuard, OnceLock, PoisonError};
 
 use fabmap::model::Model;
 use waypost_navigation::appearance::signature::Signatures;
 use waypost_vision::features::{Extractor, FeatureSettings, SettingsError};
 
 use crate::error::ServiceError;
-use crate::storage::Storage;
+use crate::storage::{Storage, StorageError};
+
+/// The model that ships: trained on images of floors that are not in the demo; part of the program, so that it cannot be missing.
+pub(crate) const SHIPPED: &[u8] = include_bytes!("../../../demo/model.waypost");
+
+static SHIPPED_HASH: LazyLock<Option<String>> =
+    LazyLock::new(|| Model::from_bytes(SHIPPED).ok().map(|model| model.hash().to_string()));
 
 /// A model with the extractor that its words are made by.
 #[derive(Debug)]
@@ -63,7 +69,16 @@ impl LoadedModels {
         if let Some(model) = self.cached().get(hash) {
             return Ok(model.clone());
         }
-        let file = self.storage.model_file(hash).await?;
+        let file = match self.storage.model_file(hash).await {
+            Err(StorageError::Rot(found)) if SHIPPED_HASH.as_deref() == Some(hash) => {
+                tracing::error!(
+                    found,
+                    "damage on the disk; the model is taken from the program, which has it, too"
+                );
+                Some(SHIPPED.to_vec())
+            }
+            read => read?,
+        };
         let file = file.ok_or_else(|| ServiceError::not_found(format_args!("there is no model {hash}")))?;
         let load = move || LoadedModel::new(Model::from_bytes(&file).map_err(ServiceError::internal)?);
         let loaded = tokio::task::spawn_blocking(load).await.map_err(ServiceError::internal)??;

@@ -210,12 +210,11 @@ impl Models {
             Ok::<_, ServiceError>((row_of(&loaded.model, display_name, &file), file))
         };
         let (row, file) = tokio::task::spawn_blocking(decode).await.map_err(ServiceError::internal)??;
-        self.store(row, &file).await
-    }
-
-    async fn store(&self, row: ModelRow, file: &[u8]) -> Result<ModelRow, ServiceError> {
         self.check_name_is_free(&row.display_name, Some(&row.hash)).await?;
-        self.storage.put_model(&row, file).await?;
+        // Whoever brings one again since it is damaged is not told that it is there.
+        if !self.storage.put_model(&row, &file).await? {
+            self.storage.model_file(&row.hash).await?;
+        }
         self.find(&row.hash).await
     }
 

@@ -21,13 +21,9 @@ pub(crate) struct ModelRow {
 }
 
 impl Storage {
-    /// Stores a model file; of one that is there already, at most the name changes.
-    pub(crate) async fn put_model(&self, row: &ModelRow, file: &[u8]) -> Result<(), StorageError> {
-        self.write(async |transaction| {
-            insert_model(transaction, row, file).await?;
-            Ok(())
-        })
-        .await
+    /// Stores a model file; of one that is there already, at most the name changes. Whether it was not there yet.
+    pub(crate) async fn put_model(&self, row: &ModelRow, file: &[u8]) -> Result<bool, StorageError> {
+        self.write(async |transaction| insert_model(transaction, row, file).await).await
     }
 
     /// Stores the model that a job made, and ends the job: both or neither.
@@ -85,11 +81,13 @@ impl Storage {
         .await?)
     }
 
+    /// The file of a model. [`StorageError::Rot`] names the model.
     pub(crate) async fn model_file(&self, hash: &str) -> Result<Option<Vec<u8>>, StorageError> {
-        Ok(sqlx::query_scalar("SELECT file FROM models WHERE hash = $1")
-            .bind(hash)
-            .fetch_optional(&self.readers)
-            .await?)
+        let read = sqlx::query_scalar("SELECT file FROM models WHERE hash = $1").bind(hash);
+        read.fetch_optional(&self.readers).await.map_err(|error| match StorageError::from(error) {
+            StorageError::Rot(what) => StorageError::Rot(format!("the model {hash}: {what}")),
+            other => other,
+        })
     }
 
     /// Whether there was one.

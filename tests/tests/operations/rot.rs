@@ -5,6 +5,7 @@ mod notes;
 mod old_databases;
 mod repair;
 
+use std::io::Cursor;
 use std::path::Path;
 
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection};
@@ -12,7 +13,7 @@ use waypost_client::{Client, Code, FrameInput, FrameOutcome, v1};
 
 use crate::harness::{
     Server, answers, assert_status, database_options, first_return, frame, get, import_model, in_time,
-    map_request, model_file, refused, session_options,
+    map_request, model_file, model_of_other_words, refused, session_options, take_model,
 };
 
 /// What the robot calls frames of the session `first`.
@@ -263,4 +264,38 @@ async fn a_damaged_model_is_not_renamed() {
     let found = deep(directory.path()).await;
     let named = before[0].name.strip_prefix("models/").unwrap();
     assert!(found.iter().any(|line| line.contains(&format!("the model {named}"))), "{found:?}");
+}
+
+/// The program has the model that ships, too; another one is named, and whoever brings it again is not told that it is there.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_damaged_model_is_named_and_the_one_that_ships_is_taken_from_the_program() {
+    let directory = two_maps().await;
+    let own = model_of_other_words();
+    let server = Server::start_on(directory.path()).await;
+    let client = server.client().await;
+    let imported = take_model(&client, "own", &own).await;
+    client.create_map(map_request("own", &imported.name)).await.unwrap();
+    server.stop().await;
+    // Both have the same words.
+    let shipped = std::fs::read(model_file()).unwrap();
+    let quarter = &shipped[shipped.len() / 4..][..24];
+    let file = directory.path().join("waypost.sqlite");
+    let mut content = std::fs::read(&file).unwrap();
+    let found: Vec<usize> = (0..content.len() - 24).filter(|&at| &content[at..at + 24] == quarter).collect();
+    assert_eq!(found.len(), 2, "one in each model");
+    for at in found {
+        content[at] ^= 1;
+    }
+    std::fs::write(&file, content).unwrap();
+
+    let server = Server::start_on(directory.path()).await;
+    let client = server.client().await;
+    assert_eq!(answers(&client, "drive", "third", (1..=3).map(frame)).await.len(), 3);
+    let named = format!("the model {}", imported.name.strip_prefix("models/").unwrap());
+    let (code, message) = refused(client.open_session(session_options("own", "first")).await.map(drop));
+    assert_status("a robot", (code, &message), Code::DataLoss, &named);
+    let again = client.import_model("own", Cursor::new(own.to_bytes())).await;
+    let (code, message) = refused(again);
+    assert_status("it is brought again", (code, &message), Code::DataLoss, &named);
+    server.stop().await;
 }

@@ -2,9 +2,7 @@
 
 use super::{ModelRow, Models};
 use crate::error::ServiceError;
-
-/// Trained on images of floors that are not in the demo; part of the program, so that it cannot be missing.
-const FILE: &[u8] = include_bytes!("../../../../demo/model.waypost");
+use crate::ingest::model::SHIPPED;
 
 /// What people call it.
 const DISPLAY_NAME: &str = "shipped";
@@ -16,7 +14,7 @@ impl Models {
     /// Takes in the model that ships, unless there is any model already: whoever has models of their own chose them.
     pub(crate) async fn take_in_shipped(&self) -> Result<(), ServiceError> {
         if self.storage.models(None, 1).await?.is_empty() {
-            self.import(DISPLAY_NAME, FILE.to_vec()).await?;
+            self.import(DISPLAY_NAME, SHIPPED.to_vec()).await?;
             tracing::info!(name = DISPLAY_NAME, "there was no model; the one that ships was taken in");
         }
         Ok(())
