@@ -125,3 +125,17 @@ fn pose_words(place: &v1::PlacePose) -> Option<String> {
     let [x_m, y_m] = [position.x, position.y].map(|metres| rounded(metres, 2));
     Some(format!("{x_m} {y_m} m {}°{of_part}", rounded(heading_deg, 0)))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sides_are_those_of_the_largest_part() {
+        let extent = |parts| v1::MapExtent { parts, measured_places: 91, length_m: 8.26, width_m: 10.31 };
+        assert_eq!(metres_words(Some(&extent(1))), "8.3 x 10.3 m, 91 places measured");
+        let several = "8.3 x 10.3 m in the largest of 2 parts; 91 places measured in all";
+        assert_eq!(metres_words(Some(&extent(2))), several);
+        assert!(metres_words(None).starts_with("none: "));
+    }
+}
