@@ -11,6 +11,7 @@ use super::lock::DirectoryLock;
 use super::opening::{FileKind, file_kind};
 use super::{FILE_NAME, or_no_database, page_sums};
 use crate::storage::StorageError;
+use crate::storage::connections::of_any_age;
 
 /// What a data directory holds.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -38,7 +39,7 @@ pub(crate) async fn inspect(directory: &Path) -> Result<Option<Inspection>, Stor
         FileKind::WithoutChecksums => (options, true),
     };
     let options = options.filename(file);
-    let database = SqlitePoolOptions::new().max_connections(1).connect_with(options).await;
+    let database = of_any_age(SqlitePoolOptions::new()).max_connections(1).connect_with(options).await;
     let database = database.map_err(|error| or_no_database(error, directory))?;
     let inspected = look_at(&database).await;
     database.close().await;
