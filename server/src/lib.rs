@@ -39,6 +39,7 @@ use tokio::net::TcpListener;
 use tokio::sync::watch;
 
 pub use crate::fleet::{Opening, Ports, open_beside_others};
+pub use crate::memory::share_heaps;
 pub use crate::net::origin::{NoOrigin, Origin};
 pub use crate::net::standing::Strangers;
 pub use crate::net::tls::{Tls, TlsError, TlsFiles};

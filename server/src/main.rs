@@ -14,7 +14,7 @@ use tokio_util::sync::CancellationToken;
 use tracing_subscriber::EnvFilter;
 use waypost_server::config::{Config, DataLocation, Flags, LogFormat, StorageAddress, unknown_variables};
 use waypost_server::offline::{self, Finding, ListedToken, TokenLimits};
-use waypost_server::{Exposed, Opening, Ports, Role, Served, Server, Tls, open_beside_others};
+use waypost_server::{Exposed, Opening, Ports, Role, Served, Server, Tls, open_beside_others, share_heaps};
 
 mod shell;
 
@@ -172,6 +172,7 @@ async fn work_on_data(command: DataCommand, config: &Config) -> anyhow::Result<E
 }
 
 async fn serve(config: Config) -> anyhow::Result<ExitCode> {
+    share_heaps();
     let tls = config.tls_files().as_ref().map(Tls::load).transpose()?;
     start_log(&config.log, config.log_format)?;
     for variable in unknown_variables(std::env::vars_os()) {

@@ -67,6 +67,9 @@ const MOST_RECENT: usize = 4096;
 /// Frames whose features are, of about 80 kB each; more than a batch, so that none of it is missed.
 const MOST_RECENT_FEATURES: usize = 256;
 
+/// A map that is asked nothing for so long forgets what is on the disk, too.
+const QUIET: Duration = Duration::from_secs(30);
+
 /// The state of an open map and its way to the disk.
 struct MapWriter {
     map: MapRow,
@@ -126,7 +129,7 @@ struct CommitFailed {
 impl MapWriter {
     /// Serves requests until the map is closed or a commit fails.
     fn run(mut self, mut requests: mpsc::Receiver<MapRequest>) {
-        while let Some(first) = requests.blocking_recv() {
+        while let Some(first) = self.next(&mut requests) {
             let mut batch = vec![first];
             while batch.len() < MAX_BATCH
                 && let Ok(next) = requests.try_recv()
@@ -152,6 +155,16 @@ impl MapWriter {
             self.checkpoint_if_due();
         }
         self.checkpoint_now();
+    }
+
+    fn next(&mut self, requests: &mut mpsc::Receiver<MapRequest>) -> Option<MapRequest> {
+        let soon = self.runtime.block_on(async { tokio::time::timeout(QUIET, requests.recv()).await });
+        soon.unwrap_or_else(|_quiet| {
+            self.recent.get_mut().forget();
+            self.recent_features.get_mut().forget();
+            self.trackers.forget();
+            requests.blocking_recv()
+        })
     }
 
     fn serve(&mut self, batch: Vec<MapRequest>) -> Result<Serving, CommitFailed> {

@@ -35,6 +35,11 @@ impl<T, Key: Copy + Eq + Hash> Recent<T, Key> {
         Self { most, frames: HashMap::new(), order: VecDeque::new() }
     }
 
+    /// Gives their memory back.
+    pub(super) fn forget(&mut self) {
+        *self = Self::new(self.most);
+    }
+
     pub(crate) fn get(&self, frame: Key) -> Option<&T> {
         self.frames.get(&frame)
     }
