@@ -210,6 +210,16 @@ impl ServiceError {
         Self::DataLoss { message }
     }
 
+    /// The same of a model, which no snapshot of a map holds.
+    fn damaged_model(cause: &StorageError) -> Self {
+        tracing::error!(%cause, "damage on the disk");
+        let message = format!(
+            "{cause}; it is damaged on the server's disk and not handed out. A backup has it, or the database of another \
+             server that it was imported into"
+        );
+        Self::DataLoss { message }
+    }
+
     /// A later stream of the same robot goes on in place of this one.
     pub(crate) fn taken_over() -> Self {
         Self::Aborted { message: "a later stream took this session over; this one is closed".to_owned() }
@@ -229,6 +239,7 @@ impl From<StorageError> for ServiceError {
             StorageError::DiskFull(_) => Self::disk_full(error),
             StorageError::HeldUp(_) | StorageError::TakenOver => Self::held_up(error),
             StorageError::Rot(found) => Self::damaged(&found),
+            StorageError::DamagedModel { .. } => Self::damaged_model(&error),
             StorageError::ReadOnly(_) => Self::precondition(error),
             StorageError::Abandoned => Self::aborted(error),
             StorageError::OverQuota(over) => over.into(),

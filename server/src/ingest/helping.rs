@@ -8,10 +8,10 @@ use tokio::sync::Semaphore;
 
 use super::extraction;
 use super::looking::{Look, Seen};
-use super::model::LoadedModel;
+use super::model::{LoadedModel, file_of};
 use super::observed::Observed;
 use crate::error::ServiceError;
-use crate::storage::{MediumKind, StorageError, model_file};
+use crate::storage::{MediumKind, model_file};
 
 /// Models that are kept ready at most; a fleet has few.
 const MODELS: usize = 8;
@@ -52,8 +52,7 @@ impl Helping {
         if let Some(model) = known().get(hash) {
             return Ok(model.clone());
         }
-        let file = model_file(&self.database, hash).await?;
-        let file = file.ok_or_else(|| StorageError::Damaged(format!("there is no model {hash}")))?;
+        let file = file_of(hash, model_file(&self.database, hash).await)?;
         let load = move || LoadedModel::new(Model::from_bytes(&file).map_err(ServiceError::internal)?);
         let loaded = Arc::new(tokio::task::spawn_blocking(load).await.map_err(ServiceError::internal)??);
         let mut models = known();

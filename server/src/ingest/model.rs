@@ -69,17 +69,7 @@ impl LoadedModels {
         if let Some(model) = self.cached().get(hash) {
             return Ok(model.clone());
         }
-        let file = match self.storage.model_file(hash).await {
-            Err(StorageError::Rot(found)) if SHIPPED_HASH.as_deref() == Some(hash) => {
-                tracing::error!(
-                    found,
-                    "damage on the disk; the model is taken from the program, which has it, too"
-                );
-                Some(SHIPPED.to_vec())
-            }
-            read => read?,
-        };
-        let file = file.ok_or_else(|| ServiceError::not_found(format_args!("there is no model {hash}")))?;
+        let file = file_of(hash, self.storage.model_file(hash).await)?;
         let load = move || LoadedModel::new(Model::from_bytes(&file).map_err(ServiceError::internal)?);
         let loaded = tokio::task::spawn_blocking(load).await.map_err(ServiceError::internal)??;
         let loaded = Arc::new(loaded);
@@ -98,6 +88,23 @@ impl LoadedModels {
 
     fn cached(&self) -> MutexGuard<'_, HashMap<String, Arc<LoadedModel>>> {
         self.cached.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// The file of a model, as it was read. The one that ships is taken from the program where it is damaged on the disk.
+pub(super) fn file_of(
+    hash: &str,
+    read: Result<Option<Vec<u8>>, StorageError>,
+) -> Result<Vec<u8>, ServiceError> {
+    match read {
+        Err(StorageError::DamagedModel { hash, found }) if SHIPPED_HASH.as_deref() == Some(&hash) => {
+            tracing::error!(
+                found,
+                "damage on the disk; the model is taken from the program, which has it, too"
+            );
+            Ok(SHIPPED.to_vec())
+        }
+        read => read?.ok_or_else(|| ServiceError::not_found(format_args!("there is no model {hash}"))),
     }
 }
 

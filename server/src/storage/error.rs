@@ -48,6 +48,8 @@ pub(crate) enum StorageError {
     Damaged(String),
     #[error("{0}")]
     Rot(String),
+    #[error("the model {hash}: {found}")]
+    DamagedModel { hash: String, found: String },
     #[error(
         "the map takes nothing more since damage was found in it: {0}; `waypost-server check --deep` tells all of it; \
          `waypost map repair` makes a new map of what is left, and of a snapshot"
@@ -85,6 +87,14 @@ impl StorageError {
 }
 
 impl StorageError {
+    /// What went wrong with the file of a model.
+    pub(super) fn of_model(hash: &str, error: sqlx::Error) -> Self {
+        match Self::from(error) {
+            Self::Rot(found) => Self::DamagedModel { hash: hash.to_owned(), found },
+            other => other,
+        }
+    }
+
     /// That the database is held up, for want of a better word.
     pub(super) fn held_up(cause: &Self) -> Self {
         Self::HeldUp(sqlx::Error::Io(std::io::Error::other(cause.to_string())))
@@ -111,6 +121,7 @@ impl StorageError {
             | Self::Abandoned
             | Self::Damaged(_)
             | Self::Rot(_)
+            | Self::DamagedModel { .. }
             | Self::ReadOnly(_)
             | Self::OverQuota(_)
             | Self::Failed(_)

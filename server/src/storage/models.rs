@@ -81,13 +81,10 @@ impl Storage {
         .await?)
     }
 
-    /// The file of a model. [`StorageError::Rot`] names the model.
+    /// The file of a model. [`StorageError::DamagedModel`] if it is not as it was written.
     pub(crate) async fn model_file(&self, hash: &str) -> Result<Option<Vec<u8>>, StorageError> {
         let read = sqlx::query_scalar("SELECT file FROM models WHERE hash = $1").bind(hash);
-        read.fetch_optional(&self.readers).await.map_err(|error| match StorageError::from(error) {
-            StorageError::Rot(what) => StorageError::Rot(format!("the model {hash}: {what}")),
-            other => other,
-        })
+        read.fetch_optional(&self.readers).await.map_err(|error| StorageError::of_model(hash, error))
     }
 
     /// Whether there was one.

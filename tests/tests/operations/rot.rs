@@ -297,5 +297,6 @@ async fn a_damaged_model_is_named_and_the_one_that_ships_is_taken_from_the_progr
     let again = client.import_model("own", Cursor::new(own.to_bytes())).await;
     let (code, message) = refused(again);
     assert_status("it is brought again", (code, &message), Code::DataLoss, &named);
+    assert!(message.contains("A backup has it") && !message.contains("snapshot"), "{message}");
     server.stop().await;
 }

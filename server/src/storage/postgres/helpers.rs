@@ -81,12 +81,14 @@ pub(super) async fn who_helps(pool: &AnyPool) -> Result<Vec<HelperRow>, StorageE
     Ok(rows.bind(VERSION).fetch_all(pool).await?)
 }
 
-/// The file of a model, read by a server that does not own the database at `address`.
+/// The file of a model, read by a server that does not own the database at `address`. [`StorageError::DamagedModel`] if it is
+/// not as it was written.
 pub(crate) async fn model_file(address: &str, hash: &str) -> Result<Option<Vec<u8>>, StorageError> {
     let machines = Machines::of(address).map_err(StorageError::Unfit)?;
     let Primary { mut connection, address: _ } = machines.primary().await?;
     let file = sqlx::query_scalar("SELECT file FROM models WHERE hash = $1");
-    let file = file.bind(hash).fetch_optional(&mut connection).await?;
+    let file = file.bind(hash).fetch_optional(&mut connection).await;
+    let file = file.map_err(|error| StorageError::of_model(hash, error))?;
     connection.close().await?;
     Ok(file)
 }
