@@ -17,6 +17,7 @@ mod fleet {
     mod handing_over;
     mod helping;
     mod jobs;
+    mod lease_model;
     mod migrating;
     mod owners;
     mod standbys;

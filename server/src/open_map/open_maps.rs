@@ -289,6 +289,7 @@ fn read(
     };
     let words = model.model.vocabulary().len();
     runtime.block_on(storage.replay(map.id, checkpoint_events..u64::MAX, words, &mut fold))?;
+    runtime.block_on(storage.check_owned())?;
     mapper.relax();
     let events = mapper.map().events();
     let checkpoints = match layout {

@@ -36,6 +36,14 @@ impl Engine {
         }
     }
 
+    /// [`StorageError::TakenOver`] if another server owns the database by now.
+    async fn check_owned(&self, readers: &AnyPool) -> Result<(), StorageError> {
+        match self {
+            Self::Sqlite(_) => Ok(()),
+            Self::Postgres(postgres) => postgres.check_owned(readers).await,
+        }
+    }
+
     /// Whether writers are to wait for longer than they would.
     pub(super) fn is_compacting(&self) -> bool {
         match self {
@@ -102,6 +110,12 @@ impl Storage {
     pub(crate) fn free_bytes(&self) -> Option<u64> {
         let disk = rustix::fs::statvfs(self.directory()).ok()?;
         Some(disk.f_bavail.saturating_mul(disk.f_frsize))
+    }
+
+    /// [`StorageError::TakenOver`] if another server owns the database by now. It is asked after the log was read and before a
+    /// robot is told that a frame is there: what the next owner writes can be seen before a standby has it.
+    pub(crate) async fn check_owned(&self) -> Result<(), StorageError> {
+        self.engine.check_owned(&self.readers).await
     }
 
     /// Fails if the database does not answer.

@@ -156,7 +156,8 @@ impl Storage {
         Ok(self.decoded(map, stored, vocabulary_len).await?.pop())
     }
 
-    /// The frame that a session sent under `sequence`, if it is durable.
+    /// The frame that a session sent under `sequence`, if it is durable. [`StorageError::TakenOver`] if another server may have
+    /// written it.
     pub(crate) async fn event_of_sequence(
         &self,
         map: MapId,
@@ -172,7 +173,9 @@ impl Storage {
         .bind(to_sql(sequence))
         .fetch_all(&self.readers)
         .await;
-        Ok(self.decoded(map, stored, vocabulary_len).await?.pop())
+        let stored = self.decoded(map, stored, vocabulary_len).await?.pop();
+        self.check_owned().await?;
+        Ok(stored)
     }
 
     /// The frame that a session sent before another.

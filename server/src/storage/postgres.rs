@@ -181,6 +181,13 @@ impl Postgres {
         if owned.is_some() { Ok(()) } else { Err(StorageError::TakenOver) }
     }
 
+    /// [`StorageError::TakenOver`] if this is no longer the owner.
+    pub(super) async fn check_owned(&self, readers: &AnyPool) -> Result<(), StorageError> {
+        let owned = sqlx::query("SELECT 1 FROM lease WHERE id = 1 AND epoch = $1").bind(self.epoch);
+        let owned = owned.fetch_optional(readers).await?;
+        if owned.is_some() { Ok(()) } else { Err(StorageError::TakenOver) }
+    }
+
     pub(super) fn fleet(&self) -> Fleet {
         Fleet { secret: self.secret.clone(), helpers: self.helpers.clone() }
     }
