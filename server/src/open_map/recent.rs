@@ -63,3 +63,23 @@ impl RecentFrame {
         Self { stored, observation: observation.clone(), at }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_latest_are_kept_until_all_are_forgotten() {
+        let mut recent = Recent::new(2);
+        for frame in 1..=3 {
+            recent.keep(frame, frame * 10);
+        }
+        assert_eq!([1, 2, 3].map(|frame| recent.get(frame).copied()), [None, Some(20), Some(30)]);
+        recent.forget();
+        assert_eq!([1, 2, 3].map(|frame| recent.get(frame).copied()), [None; 3]);
+        for frame in 4..=6 {
+            recent.keep(frame, frame * 10);
+        }
+        assert_eq!([4, 5, 6].map(|frame| recent.get(frame).copied()), [None, Some(50), Some(60)]);
+    }
+}
