@@ -15,7 +15,7 @@ mod simulated;
 pub(super) mod watched;
 
 /// A folder for many files that nobody keeps: in memory, where there is room for them.
-fn scratch() -> tempfile::TempDir {
+pub(super) fn scratch() -> tempfile::TempDir {
     const ROOM_BYTES: u64 = 2 << 30;
     let memory = std::path::Path::new("/dev/shm");
     let room = rustix::fs::statvfs(memory).is_ok_and(|disk| disk.f_bavail * disk.f_frsize > ROOM_BYTES);

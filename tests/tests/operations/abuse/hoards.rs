@@ -38,7 +38,7 @@ fn hoarding(attacked: &Attacked, robot: String, calls: u32) -> tokio::task::Join
         wire.write_all(&said).unwrap();
         let prefix = [&[0][..], &(16_u32 << 20).to_be_bytes()].concat();
         let mut left: Vec<_> = (0..calls).map(|number| (2 * number + 1, prefix.len() + EACH)).collect();
-        let sent = wire.pour(&mut left, Duration::from_secs(6), |stream, first, length| {
+        let sent = wire.pour(&mut left, Duration::from_secs(4), |stream, first, length| {
             let mut bytes = vec![0; length];
             if first {
                 bytes[..prefix.len()].copy_from_slice(&prefix);

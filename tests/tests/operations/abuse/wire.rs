@@ -146,22 +146,22 @@ impl Wire {
         }
     }
 
-    /// Sends as much of `left`, streams and bytes, as the server's windows let through, for that long; answers PINGs. `piece`
-    /// makes a frame of a stream, the first or a later one, of a length. Gives how many bytes were sent.
+    /// Sends as much of `left`, streams and bytes, as the server's windows let through, until they have let nothing through for so
+    /// long; answers PINGs. `piece` makes a frame of a stream, the first or a later one, of a length. Gives how many bytes were sent.
     pub(super) fn pour(
         &mut self,
         left: &mut [(u32, usize)],
-        time: Duration,
+        still: Duration,
         piece: impl Fn(u32, bool, usize) -> Vec<u8>,
     ) -> usize {
-        let began = Instant::now();
+        let mut last = Instant::now();
         let whole: Vec<usize> = left.iter().map(|(_, bytes)| *bytes).collect();
         let mut connection = INITIAL_WINDOW;
         let mut initial = INITIAL_WINDOW;
         let mut granted = vec![0_i64; left.len()];
         let mut sent = 0;
         self.give_up_after(Duration::from_millis(50));
-        while began.elapsed() < time {
+        while last.elapsed() < still {
             for (index, (stream, bytes)) in left.iter_mut().enumerate() {
                 let used = (whole[index] - *bytes) as i64;
                 let window = (initial + granted[index] - used).min(connection).min(FRAME_BYTES as i64);
@@ -174,6 +174,7 @@ impl Wire {
                     return sent;
                 }
                 (*bytes, connection, sent) = (*bytes - length, connection - length as i64, sent + length);
+                last = Instant::now();
             }
             match self.next() {
                 Ok((kind::WINDOW_UPDATE, _, stream, more)) => {

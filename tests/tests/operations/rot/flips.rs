@@ -5,7 +5,9 @@
 use std::collections::BTreeMap;
 use std::fmt::Debug;
 use std::path::Path;
+use std::sync::Arc;
 
+use futures::StreamExt;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use sqlx::{ConnectOptions, Connection};
@@ -13,6 +15,7 @@ use waypost_client::{Client, Code, Error, v1};
 
 use super::{note as frame_note, two_maps};
 use crate::harness::{Server, database_options, in_time};
+use crate::operations::disk::{on_a_thread, scratch};
 use crate::operations::long_runs::Tries;
 
 /// Those that every run of the tests tries.
@@ -105,7 +108,7 @@ async fn what_comes_of(directory: &Path, whole: &Served) -> (Flip, String) {
 }
 
 fn copied(from: &Path) -> tempfile::TempDir {
-    let directory = tempfile::tempdir().unwrap();
+    let directory = scratch();
     std::fs::copy(from.join("waypost.sqlite"), directory.path().join("waypost.sqlite")).unwrap();
     directory
 }
@@ -138,13 +141,22 @@ async fn flip_in_the_log(directory: &Path, random: &mut ChaCha8Rng) -> String {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn no_flip_is_served_in_silence() {
-    let directory = two_maps().await;
-    let whole = served_by(directory.path()).await;
+    let directory = Arc::new(two_maps().await);
+    let whole = Arc::new(served_by(directory.path()).await);
     let tries = Tries::asked("FLIPS", FLIPS);
+    let at_once = std::thread::available_parallelism().map_or(2, usize::from);
     let mut counts = BTreeMap::new();
     for part in tries.parts() {
-        for flip in part.clone() {
-            let (came, what) = flipped(directory.path(), &whole, tries.seed, flip).await;
+        let flips = part.clone().map(|flip| {
+            let directory = directory.clone();
+            let whole = whole.clone();
+            on_a_thread(
+                move || async move { (flip, flipped(directory.path(), &whole, tries.seed, flip).await) },
+            )
+        });
+        let mut flips = futures::stream::iter(flips).buffer_unordered(at_once);
+        while let Some(flip) = flips.next().await {
+            let (flip, (came, what)) = flip.unwrap();
             assert_ne!(came, Flip::Silent, "{what} is another, flip {flip} of seed {}", tries.seed);
             *counts.entry(came).or_insert(0) += 1;
         }
