@@ -157,6 +157,7 @@ impl MapWriter {
         self.checkpoint_now();
     }
 
+    /// The next request; `None` once nobody can ask any more. What is on the disk, too, is forgotten where none comes for a while.
     fn next(&mut self, requests: &mut mpsc::Receiver<MapRequest>) -> Option<MapRequest> {
         let soon = self.runtime.block_on(async { tokio::time::timeout(QUIET, requests.recv()).await });
         soon.unwrap_or_else(|_quiet| {
