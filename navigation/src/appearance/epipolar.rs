@@ -142,7 +142,7 @@ fn most_agreed<M: Motion>(pairs: &[RayPair], settings: &SearchSettings) -> Optio
 }
 
 fn agreeing<M: Motion>(motion: M, pairs: &[RayPair], tolerance_rad: f64) -> Consensus<M> {
-    let agrees = |&(_, pair): &(usize, &RayPair)| motion.reprojection(pair).error_rad() <= tolerance_rad;
+    let agrees = |&(_, pair): &(usize, &RayPair)| motion.reprojection(pair).error_rad <= tolerance_rad;
     let inliers = pairs.iter().enumerate().filter(agrees).map(|(index, _)| index).collect();
     Consensus { motion, inliers }
 }

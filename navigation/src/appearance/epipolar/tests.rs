@@ -1,4 +1,4 @@
-use std::f64::consts::{FRAC_PI_2, PI, TAU};
+use std::f64::consts::{FRAC_PI_2, PI, SQRT_2, TAU};
 
 use nalgebra::{Isometry2, Point2, Vector2};
 use proptest::prelude::*;
@@ -155,22 +155,25 @@ fn dense_error_rad(rotation: &Rotation3<f64>, way: &Unit<Vector3<f64>>, pair: &R
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
+    /// All around, and near the way, where there is much to get wrong.
     #[test]
     fn small_reprojection_errors_are_the_least_turns(
-        [turn, heading, azimuth, elevation, distance] in [-3.0..3.0f64, -3.0..3.0, -3.0..3.0, -0.6..0.6, 0.5..20.0],
+        [turn, heading, distance] in [-3.0..3.0f64, -3.0..3.0, 0.5..20.0],
+        [aside, elevation] in prop_oneof![[-3.0..3.0f64, -0.6..0.6], [-0.05..0.05f64, -0.03..0.03]],
         noise in prop::array::uniform6(-0.02..0.02f64),
     ) {
         let motion = PlanarMotion::new(turn, heading);
+        let azimuth = heading + aside;
         let point = distance * Vector3::new(azimuth.cos(), azimuth.sin(), elevation);
         let way = motion.direction();
         let rotation = motion.rotation();
         let [x, y] = [point, rotation.inverse() * (point - way.into_inner())].map(|seen| seen.normalize());
         let [dx, dy] = [Vector3::from_row_slice(&noise[..3]), Vector3::from_row_slice(&noise[3..])];
         let pair = RayPair { current: (x + dx).normalize(), target: (y + dy).normalize() };
-        let found = reprojection(&rotation, &way, &pair).error_rad();
+        let found = reprojection(&rotation, &way, &pair).error_rad;
         let dense = dense_error_rad(&rotation, &way, &pair);
-        // Sines for angles, and rays near the way: to second order.
-        prop_assert!((found - dense).abs() < 2e-3, "{found} {dense}");
+        // Sines for angles, and the steps of the dense one.
+        prop_assert!((found - dense).abs() < 1e-3, "{found} {dense}");
     }
 
     /// Without noise any motion explains what is seen on it, and the way back does not.
@@ -180,9 +183,9 @@ proptest! {
         let motion = PlanarMotion::new(turn, heading);
         let back = PlanarMotion::new(turn, heading + PI);
         for pair in seen(&Isometry2::identity(), &target, 5, 0.0, seed) {
-            prop_assert!(motion.reprojection(&pair).error_rad() < 1e-6);
+            prop_assert!(motion.reprojection(&pair).error_rad < 1e-6);
             let reversed = back.reprojection(&pair);
-            prop_assert!(reversed.off_plane_rad < 1e-6 && reversed.behind_rad > 0.0);
+            prop_assert!(reversed.error_rad <= reversed.behind_rad / SQRT_2 + 1e-6 && reversed.behind_rad > 0.0);
         }
     }
 }
