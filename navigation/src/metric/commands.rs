@@ -59,11 +59,11 @@ impl CommandsOnTheWay {
         self.obeyed
     }
 
-    /// Where the robot will be when the next command comes to it: it does first what it was told
+    /// Where the robot will be when the answer to its report of `now_ns` comes to it: it does first what it was told
     /// before. How long a command is on its way shows in the robot's own stamps: it is as many reports behind.
-    pub(super) fn obeyed_from(&self, pose: &PlanarPose, valid_ns: i64) -> PlanarPose {
+    pub(super) fn obeyed_from(&self, pose: &PlanarPose, now_ns: i64, valid_ns: i64) -> PlanarPose {
         let mut pose = *pose;
-        let ends = self.sent.iter().skip(1).map(|sent| sent.stamp_ns);
+        let ends = self.sent.iter().skip(1).map(|sent| sent.stamp_ns).chain([now_ns]);
         for (sent, end_ns) in self.sent.iter().zip(ends) {
             let seconds = end_ns.saturating_sub(sent.stamp_ns).clamp(0, valid_ns) as f64 * 1e-9;
             pose = pose.compose(&arc(sent.forward_m_s * seconds, sent.turn_rad_s * seconds));
