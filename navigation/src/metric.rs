@@ -181,7 +181,8 @@ impl Navigator {
         };
         let shown = (closure, &look.glimpses);
         let seen = self.filter.see(shown, (look.stamp_ns, odometry), &self.settings.localization);
-        if let Some(shown) = self.unrecognised(&look.sight)
+        let is_recognised = matches!(seen, Seen::Corrected | Seen::Found);
+        if let Some(shown) = self.unrecognised(&look.sight).filter(|_| !is_recognised)
             && self.should_recognise(odometry)
         {
             self.unknown.add(shown, self.driver, self.since_closure_m);
@@ -363,6 +364,7 @@ impl Navigator {
 
     /// Where the robot will be when the next command comes to it.
     fn allowing_for_commands(&self, pose: &PlanarPose) -> PlanarPose {
-        self.commands.obeyed_from(pose, self.settings.steering.valid_ns)
+        let now_ns = self.wheels.map_or(i64::MIN, |wheels| wheels.stamp_ns);
+        self.commands.obeyed_from(pose, now_ns, self.settings.steering.valid_ns)
     }
 }

@@ -12,6 +12,8 @@ pub(super) struct UnknownLooks {
     dim: u32,
     /// Driven from the closure to the last of those while driving, in metres.
     at_m: f64,
+    /// The same to the last of all.
+    last_m: f64,
     /// How long the wheels turned since the closure, by the robot's clock.
     driven_ns: i64,
 }
@@ -25,17 +27,27 @@ pub(super) enum Shown {
     TooLittle,
 }
 
-/// What counts as having moved.
+/// What counts as having moved since the last frame that counted.
 const MOVED_M: f64 = 0.02;
+
+/// Wheels that turned no further since the last frame stand.
+const STANDS_M: f64 = 1e-3;
 
 impl UnknownLooks {
     pub(super) fn add(&mut self, shown: Shown, driver: Driver, since_closure_m: f64) {
         let moved = since_closure_m - self.at_m > MOVED_M;
-        self.at_m = since_closure_m;
-        match (driver, shown) {
-            (Driver::Commands, Shown::Something) if moved => self.driving += 1,
-            (Driver::Commands, Shown::TooLittle) if moved => self.dim += 1,
-            (Driver::Commands | Driver::Reflex, Shown::Something | Shown::TooLittle) => self.standing += 1,
+        let stands = since_closure_m - self.last_m <= STANDS_M;
+        self.last_m = since_closure_m;
+        let counted = match (driver, shown) {
+            (Driver::Commands, Shown::Something) if moved => &mut self.driving,
+            (Driver::Commands, Shown::TooLittle) if moved => &mut self.dim,
+            // Of a fast camera: it shows what the last one showed.
+            (Driver::Commands, Shown::Something | Shown::TooLittle) if !stands => return,
+            (Driver::Commands | Driver::Reflex, Shown::Something | Shown::TooLittle) => &mut self.standing,
+        };
+        *counted += 1;
+        if moved {
+            self.at_m = since_closure_m;
         }
     }
 
