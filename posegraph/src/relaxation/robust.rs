@@ -1,5 +1,7 @@
 //! Relaxation where closures may be wrong: what agrees is relaxed, and what then fits is taken in.
 
+use std::f64::consts::LN_2;
+
 use super::consensus::{Consensus, MAX_UNSURE, Noise, log_volume};
 use super::levenberg::{FIRST_ITERATIONS, HOPELESS, Minimum, NormalEquations, Stop};
 use super::{Relaxed, Start, starts};
@@ -230,7 +232,9 @@ fn weight(accepted: bool) -> f64 {
 /// say.
 fn limits<P: Pose<D>, const D: usize>(graph: &PoseGraph<P, D>, poses: &[P]) -> Vec<f64> {
     let closures = graph.edges().iter().filter(|edge| edge.kind() == EdgeKind::Closure).count();
-    let log_volume = log_volume::<P, D>(poses, 0.0);
+    // Errors of rotations in space are sines of half angles: half as large in each of three directions.
+    let halves = if P::SPACE == 3 { 3.0 * LN_2 } else { 0.0 };
+    let log_volume = log_volume::<P, D>(poses, 0.0) - halves;
     let share = (BY_CHANCE / closures.max(1) as f64).ln() + log_volume - P::UNIT_BALL.ln();
     let limit = |edge: &crate::graph::Edge<P, D>| {
         let log_deviations = edge
