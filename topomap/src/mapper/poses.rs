@@ -10,6 +10,7 @@ use super::state::Mapper;
 use crate::evidence::{ClosureNoise, TwoView};
 use crate::map::{Anchor, Session, Stay};
 use crate::metric::{Odometry, RelativePose};
+use crate::settings::MapperSettings;
 use posegraph::{PlanarPose, Pose};
 
 /// Where a robot is on the map.
@@ -81,7 +82,8 @@ impl Mapper {
         let before = stay.odometry.as_ref()?;
         let now = odometry?;
         let at = stay.at.unwrap_or_else(RelativePose::none);
-        Some(at.then(&self.settings().odometry_noise.between(before, now)))
+        let MapperSettings { odometry_noise, place_spacing, .. } = self.settings();
+        Some(at.then(&odometry_noise.of_step(before, now, place_spacing)))
     }
 
     /// The pose here in the frame of the place where the session last surely was.

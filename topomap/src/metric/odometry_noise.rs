@@ -4,6 +4,7 @@ use nalgebra::{Isometry3, Matrix3, Vector3};
 use posegraph::{PlanarPose, Pose};
 
 use super::odometry::Odometry;
+use super::place_spacing::PlaceSpacing;
 use super::relative_pose::{RelativePose, seen_from_above};
 
 /// How far wheels can be trusted, where their own covariance does not say.
@@ -20,6 +21,9 @@ pub struct OdometryNoise {
     /// Of any heading, in radians, above 0.
     pub heading_floor_rad: f64,
 }
+
+/// Steps that are as long as this have all of the floors.
+const WHOLE_FLOORS_SPACINGS: f64 = 0.2;
 
 impl Default for OdometryNoise {
     fn default() -> Self {
@@ -42,6 +46,18 @@ impl OdometryNoise {
         let pose = from.inverse().compose(&to);
         let covariance = added(before, now, (&from, &to)).unwrap_or_else(|| self.covariance(&pose));
         RelativePose::known(pose, covariance)
+    }
+
+    /// The same of one of many steps that are put together: shorter ones have a share of the floors, so that a way
+    /// is no less sure where more images are sent on it, and none is less sure for standing.
+    #[must_use]
+    pub fn of_step(&self, before: &Odometry, now: &Odometry, spacing: &PlaceSpacing) -> RelativePose {
+        let [from, to] = [before, now].map(|odometry| PlanarPose::seen_from_above(odometry.pose()));
+        let way_spacings = spacing.way(&from.inverse().compose(&to));
+        let share = (way_spacings / WHOLE_FLOORS_SPACINGS).min(1.0).sqrt();
+        let position_floor_m = share * self.position_floor_m;
+        let heading_floor_rad = share * self.heading_floor_rad;
+        Self { position_floor_m, heading_floor_rad, ..*self }.between(before, now)
     }
 
     /// A motion of which nothing else is known, seen from above.
