@@ -160,6 +160,9 @@ impl Proposed<'_> {
         }
         let probability = frame.recognition.posterior.places[place.index()];
         let closure = self.match_at(place);
+        if frame.mapper.out_of_reach(&frame.input, place).is_some() {
+            return frame.new_place(Reason::NewPlace, closure);
+        }
         if probability < frame.mapper.settings().closure_threshold {
             return frame.new_place(Reason::BelowThreshold, closure);
         }

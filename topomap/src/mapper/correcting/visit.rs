@@ -93,7 +93,10 @@ impl<'a> Visit<'a> {
     /// Hears of the frame after those that it has heard of.
     pub fn went_on(&mut self, frame: &FrameEvent) -> Heard {
         self.gone += self.step(frame);
-        self.last_odometry.clone_from(&frame.odometry);
+        // As the session, which keeps the last that there was.
+        if frame.odometry.is_some() {
+            self.last_odometry.clone_from(&frame.odometry);
+        }
         if let Some(stood) = self.mapper.stood(frame, self.measured) {
             let rests =
                 stood.place == self.place && frame.decision.reason == Reason::SamePlace && !self.closed_again;
