@@ -18,9 +18,11 @@ use crate::client::{Call, Client};
 use crate::error::Error;
 use crate::frame::FrameInput;
 use crate::reconnection::{Backoff, Task, random_seed};
+use asked::AskedGoals;
 use command::{LastCommand, lock};
 use exchange::{MESSAGES_AHEAD, NavigationExchange};
 
+mod asked;
 mod command;
 mod event;
 mod exchange;
@@ -68,6 +70,7 @@ impl Client {
                 service: self.navigations_client(),
                 // By this the server tells a robot that reconnects from another one of the same name.
                 run_id: format!("run-{:016x}", random_seed()),
+                asked: AskedGoals::new(options.goal.clone()),
                 backoff: Backoff::new(options.reconnection.clone()),
                 options,
                 opened: Some(on_opened),

@@ -28,6 +28,11 @@ impl LastCommand {
         self.command = Some((command, Instant::now()));
     }
 
+    /// From now on, a stop.
+    pub(super) fn forget(&mut self) {
+        self.command = None;
+    }
+
     /// The command if it is still valid, which then counts as obeyed; otherwise a stop.
     pub(super) fn obey(&mut self) -> Command {
         let valid = self.command.as_ref().and_then(|(command, since)| {

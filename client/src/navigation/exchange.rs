@@ -8,6 +8,7 @@ use waypost_proto::v1::navigate_request::Content as Request;
 use waypost_proto::v1::navigate_response::Content as Response;
 use waypost_proto::v1::navigation_service_client::NavigationServiceClient;
 
+use super::asked::AskedGoals;
 use super::command::{LastCommand, lock};
 use super::event::NavigationEvent;
 use super::options::NavigationOptions;
@@ -25,6 +26,7 @@ pub(super) struct NavigationExchange {
     pub(super) service: NavigationServiceClient<Transport>,
     pub(super) options: NavigationOptions,
     pub(super) run_id: String,
+    pub(super) asked: AskedGoals,
     /// None once the application knows that the navigation is open.
     pub(super) opened: Option<oneshot::Sender<v1::NavigationOpened>>,
     pub(super) to_send: mpsc::Receiver<Request>,
@@ -36,7 +38,7 @@ pub(super) struct NavigationExchange {
 
 impl NavigationExchange {
     fn opening(&self) -> v1::OpenNavigation {
-        let NavigationOptions { map, navigation_id, camera, words_hash, goal, driving, reconnection: _ } =
+        let NavigationOptions { map, navigation_id, camera, words_hash, goal: _, driving, reconnection: _ } =
             &self.options;
         v1::OpenNavigation {
             map: map.clone(),
@@ -44,7 +46,7 @@ impl NavigationExchange {
             run_id: self.run_id.clone(),
             camera: Some(camera.clone()),
             words_hash: words_hash.clone(),
-            goal: goal.clone(),
+            goal: self.asked.for_opening(),
             driving: Some(*driving),
         }
     }
@@ -64,35 +66,34 @@ impl NavigationExchange {
         Ok(())
     }
 
-    /// Of the messages that waited for the connection only the last goal counts; the others are too
-    /// old.
-    fn last_goal_that_waited(&mut self) -> Option<Request> {
-        let mut last = None;
+    /// Of the messages that waited for the connection only goals count; the others are too old.
+    fn note_what_waited(&mut self) {
         while let Ok(message) = self.to_send.try_recv() {
-            if let Request::Goal(_) | Request::Stop(_) = message {
-                last = Some(message);
-            }
+            self.note(&message);
         }
-        last
     }
 
-    /// Keeps the goal for the next opening, since a restarted server does not know it.
-    fn remember(&mut self, message: &Request) {
+    fn note(&mut self, message: &Request) {
         match message {
-            Request::Goal(goal) => {
-                // Only the server knows which place an image shows.
-                let is_image = matches!(goal.target, Some(v1::goal::Target::Image(_)));
-                self.options.goal = (!is_image).then(|| goal.clone());
+            Request::Goal(goal) => self.asked.go_to(goal.clone()),
+            Request::Stop(_) => {
+                self.asked.stop();
+                lock(&self.last_command).forget();
             }
-            Request::Stop(_) => self.options.goal = None,
-            Request::Open(_) | Request::Wheels(_) | Request::Frame(_) => {}
+            Request::Wheels(report) => self.asked.stamped(report.stamp_ns),
+            Request::Frame(frame) => self.asked.stamped(frame.stamp_ns),
+            Request::Open(_) => {}
         }
     }
 
     fn on_response(&mut self, content: Response) -> Result<(), LinkEnd> {
         match content {
             Response::Guidance(guidance) => {
-                if let Some(command) = guidance.command {
+                self.asked.guided(&guidance);
+                // The server may give commands that it would not give if it knew of the stop.
+                if let Some(command) = guidance.command
+                    && !self.asked.is_stopping()
+                {
                     lock(&self.last_command).set(command);
                 }
                 self.guided.send_replace(Some(guidance));
@@ -101,7 +102,7 @@ impl NavigationExchange {
             Response::Refusal(refusal) => self.tell(NavigationEvent::FrameRefused(refusal)),
             Response::WheelRefusal(refusal) => self.tell(NavigationEvent::WheelsRefused(refusal)),
             Response::GoalRefusal(refusal) => {
-                self.options.goal = None;
+                self.asked.refused(refusal.goal.as_ref());
                 self.tell(NavigationEvent::GoalRefused(refusal));
             }
             Response::Opened(_) => {
@@ -126,9 +127,9 @@ impl Exchange for NavigationExchange {
         match first.content {
             Some(Response::Opened(opened)) => {
                 // Before the application is told, since what it sends from then on is up to date.
-                if let Some(goal) = self.last_goal_that_waited() {
-                    self.remember(&goal);
-                    put(&link, goal).await;
+                self.note_what_waited();
+                for message in self.asked.unsaid() {
+                    put(&link, message).await;
                 }
                 self.on_opened(opened).map(|()| link)
             }
@@ -142,7 +143,7 @@ impl Exchange for NavigationExchange {
             tokio::select! {
                 message = self.to_send.recv() => match message {
                     Some(message) => {
-                        self.remember(&message);
+                        self.note(&message);
                         put(&link, message).await;
                     }
                     None => return Ok(()),
