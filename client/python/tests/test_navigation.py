@@ -162,6 +162,19 @@ def test_a_run_goes_on_at_a_server_that_was_killed(client: waypost.Client, guide
         assert is_dock(client.navigation(navigation.name))
 
 
+def test_a_restarted_server_leads_to_the_goal_that_was_not_refused(
+    client: waypost.Client, guide: Server
+) -> None:
+    with client.navigate("hall", CAMERA, goal="dock") as navigation:
+        navigation.go_to("nowhere")
+        assert isinstance(navigation.next_event(PATIENCE_S), waypost.GoalRefused)
+        guide.kill()
+        guide.start()
+        assert isinstance(navigation.next_event(PATIENCE_S), waypost.Disconnected)
+        assert navigation.next_event(PATIENCE_S) == waypost.Reconnected(resumed=False)
+        assert is_dock(client.navigation(navigation.name))
+
+
 def test_a_server_that_stays_away_ends_it(client: waypost.Client, guide: Server) -> None:
     with client.navigate("hall", CAMERA, goal="dock", patience_s=1.0) as navigation:
         guide.kill()

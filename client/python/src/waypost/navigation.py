@@ -20,6 +20,7 @@ import grpc
 import numpy.typing as npt
 
 from waypost import answers, errors, guidance
+from waypost.asked import AskedGoals
 from waypost.frames import MAX_IMAGE_BYTES, Frame
 from waypost.goals import GoalLike, goal_message
 from waypost.guidance import Command, Disconnected, Guidance, NavigationEvent, Reconnected
@@ -76,10 +77,7 @@ class Navigation:
         self._changed = threading.Condition()
         self._opened: navigation_pb2.NavigationOpened | None = None
         self._link: _Link | None = None
-        self._goal = options.goal
-        #: A goal, or a stop, that the server may not have got yet, and the last report before it.
-        self._unsaid: tuple[navigation_pb2.NavigateRequest, int] | None = None
-        self._last_stamp_ns = 0
+        self._asked = AskedGoals(options.goal)
         self._guidance: Guidance | None = None
         self._command = _LastCommand()
         self._closing = threading.Event()
@@ -109,7 +107,8 @@ class Navigation:
         Call it in every cycle of the motor controller.
         """
         with self._changed:
-            return self._command.obey()
+            # The server may give commands that it would not give if it knew of a stop.
+            return Command() if self._asked.is_stopping else self._command.obey()
 
     def report(
         self,
@@ -140,7 +139,7 @@ class Navigation:
             reflex=reflex,
         )
         with self._changed:
-            self._last_stamp_ns = max(self._last_stamp_ns, stamp_ns)
+            self._asked.stamped(stamp_ns)
             obeyed = self._command.obeyed
             if obeyed is not None:
                 wheels.obeyed_number = obeyed
@@ -166,6 +165,7 @@ class Navigation:
                 "compress it harder"
             )
         with self._changed:
+            self._asked.stamped(message.stamp_ns)
             return self._send(navigation_pb2.NavigateRequest(frame=message))
 
     def go_to(self, goal: GoalLike) -> None:
@@ -175,9 +175,7 @@ class Navigation:
             WaypostError: If the navigation is over, why.
         """
         message = goal_message(goal)
-        # Only the server knows which place an image shows: a restarted one does not get it again.
-        known = None if message.WhichOneof("target") == "image" else message
-        self._set_goal(navigation_pb2.NavigateRequest(goal=message), known)
+        self._ask(lambda: self._asked.go_to(message))
 
     def stop(self) -> None:
         """Gives up the goal: the robot stops.
@@ -185,7 +183,7 @@ class Navigation:
         Raises:
             WaypostError: If the navigation is over, why.
         """
-        self._set_goal(navigation_pb2.NavigateRequest(stop=navigation_pb2.StopNavigation()), None)
+        self._ask(self._asked.stop)
 
     def next_guidance(self, timeout_s: float | None = None) -> Guidance | None:
         """Waits for guidance that comes after this call; None if it did not come in time.
@@ -251,11 +249,10 @@ class Navigation:
         self._check()
         return self._link is not None and self._link.offer(request)
 
-    def _set_goal(self, request: navigation_pb2.NavigateRequest, known: navigation_pb2.Goal | None) -> None:
+    def _ask(self, ask: Callable[[], navigation_pb2.NavigateRequest]) -> None:
         with self._changed:
             self._check()
-            self._goal = known
-            self._unsaid = (request, self._last_stamp_ns)
+            request = ask()
             if self._link is not None:
                 self._link.put(request)
 
@@ -302,13 +299,15 @@ class Navigation:
 
     def _opening(self) -> navigation_pb2.OpenNavigation:
         options = self._options
+        with self._changed:
+            goal = self._asked.for_opening
         return navigation_pb2.OpenNavigation(
             map=options.map_name,
             navigation_id=self.name.rpartition("/")[2] or options.navigation_id,
             run_id=self._run_id,
             camera=options.camera,
             words_hash=options.words_hash,
-            goal=self._goal,
+            goal=goal,
             driving=options.driving or navigation_pb2.DrivingSettings(),
         )
 
@@ -327,9 +326,10 @@ class Navigation:
         elif content == "wheel_refusal":
             self._tell(guidance.wheels_refused(response.wheel_refusal))
         elif content == "goal_refusal":
+            refused = guidance.goal_refused(response.goal_refusal)
             with self._changed:
-                self._goal, self._unsaid = None, None
-            self._tell(guidance.goal_refused(response.goal_refusal))
+                self._asked.refused(refused.goal)
+            self._tell(refused)
 
     def _on_opened(self, opened: navigation_pb2.NavigationOpened, link: _Link) -> None:
         if self._link is link:
@@ -338,8 +338,8 @@ class Navigation:
         with self._changed:
             again = self._opened is not None
             self._opened = opened
-            if self._unsaid is not None:
-                link.put(self._unsaid[0])
+            for request in self._asked.unsaid:
+                link.put(request)
             self._link = link
         if again:
             self._tell(Reconnected(opened.resumed))
@@ -350,9 +350,7 @@ class Navigation:
         with self._changed:
             if message.HasField("command") and not self._closing.is_set():
                 self._command.set(message.command)
-            # Requests are taken in order: with an answer to a later report, the goal has arrived.
-            if self._unsaid is not None and said.stamp_ns > self._unsaid[1]:
-                self._unsaid = None
+            self._asked.guided(message)
             self._guidance = said
             self._changed.notify_all()
         self.events.notify()
