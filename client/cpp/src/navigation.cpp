@@ -1,7 +1,6 @@
 // The application's side of a navigation.
 #include "waypost/navigation.hpp"
 
-#include <algorithm>
 #include <utility>
 
 #include "frame_message.hpp"
@@ -34,7 +33,7 @@ NavigationExchange::NavigationExchange(std::shared_ptr<const Connection> connect
       stub_(v1::NavigationService::NewStub(connection_->channel())),
       run_id_(new_run_id()),
       backoff_(options_.reconnection),
-      goal_(options_.goal) {
+      asked_(options_.goal) {
   worker_ = std::thread(&NavigationExchange::run, this);
   Lock lock(monitor_->mutex);
   monitor_->changed.wait(lock, [this] { return opened_ || ended_; });
@@ -67,8 +66,7 @@ Command NavigationExchange::command() {
   const std::lock_guard lock(monitor_->mutex);
   // The stream may be over before the worker has seen it, and commands may arrive that the server gave before a stop.
   const bool is_led = is_open_ && !link_->is_over() && !closing_;
-  const bool is_stopping = unsaid_ && unsaid_->request->has_stop();
-  return is_led && !is_stopping ? last_command_.obey(Clock::now()) : Command{};
+  return is_led && !asked_.is_stopping() ? last_command_.obey(Clock::now()) : Command{};
 }
 
 bool NavigationExchange::report(const Reading& reading) {
@@ -78,7 +76,7 @@ bool NavigationExchange::report(const Reading& reading) {
   if (reading.odometry) *wheels.mutable_odometry() = *reading.odometry;
   wheels.set_reflex(reading.reflex);
   const std::lock_guard lock(monitor_->mutex);
-  last_stamp_ns_ = std::max(last_stamp_ns_, reading.stamp_ns);
+  asked_.stamped(reading.stamp_ns);
   if (const auto obeyed = last_command_.obeyed()) wheels.set_obeyed_number(*obeyed);
   return offer(std::move(request));
 }
@@ -92,31 +90,22 @@ bool NavigationExchange::see(Frame frame) {
                      std::to_string(max_image_bytes) + "; make it smaller or compress it harder");
   }
   const std::lock_guard lock(monitor_->mutex);
+  asked_.stamped(request.frame().stamp_ns());
   return offer(std::move(request));
 }
 
 void NavigationExchange::go_to(v1::Goal goal) {
-  v1::NavigateRequest request;
-  // Only the server knows which place an image shows: a restarted one does not get it again.
-  std::optional<v1::Goal> known;
-  if (goal.target_case() != v1::Goal::kImage) known = goal;
-  *request.mutable_goal() = std::move(goal);
   const std::lock_guard lock(monitor_->mutex);
-  set_goal(std::move(request), std::move(known));
+  check_running();
+  const auto request = asked_.go_to(std::move(goal));
+  if (is_open_) link_->send(request);
 }
 
 void NavigationExchange::stop() {
-  v1::NavigateRequest request;
-  request.mutable_stop();
   const std::lock_guard lock(monitor_->mutex);
-  set_goal(std::move(request), std::nullopt);
-}
-
-void NavigationExchange::set_goal(v1::NavigateRequest request, std::optional<v1::Goal> known) {
   check_running();
-  goal_ = std::move(known);
-  unsaid_ = Unsaid{std::make_shared<const v1::NavigateRequest>(std::move(request)), last_stamp_ns_};
-  if (is_open_) link_->send(unsaid_->request);
+  const auto request = asked_.stop();
+  if (is_open_) link_->send(request);
 }
 
 bool NavigationExchange::offer(v1::NavigateRequest request) {

@@ -78,8 +78,7 @@ void NavigationExchange::on_response(NavigationLink::Arrival arrival) {
     case v1::NavigateResponse::kWheelRefusal:
       return tell(WheelsRefused{response.wheel_refusal().stamp_ns(), error_of(response.wheel_refusal().status())});
     case v1::NavigateResponse::kGoalRefusal:
-      goal_.reset();
-      unsaid_.reset();
+      asked_.refused(response.goal_refusal());
       return tell(GoalRefused{response.goal_refusal().goal(), error_of(response.goal_refusal().status())});
     // What a newer server says besides is not for this client.
     case v1::NavigateResponse::CONTENT_NOT_SET: return;
@@ -91,15 +90,14 @@ void NavigationExchange::on_opened(const v1::NavigationOpened& opened) {
   backoff_.progress();
   opened_ = opened;
   is_open_ = true;
-  if (unsaid_) link_->send(unsaid_->request);
+  asked_.send_unsaid([this](const AskedGoals::Request& request) { link_->send(request); });
   if (again) tell(Reconnected{opened.resumed()});
   monitor_->changed.notify_all();
 }
 
 void NavigationExchange::on_guided(v1::Guidance guidance, Clock::time_point arrived) {
   if (guidance.has_command()) last_command_.set(guidance.command(), arrived);
-  // Requests are taken in order: with an answer to a later report, the goal has arrived.
-  if (unsaid_ && guidance.stamp_ns() > unsaid_->after_stamp_ns) unsaid_.reset();
+  asked_.guided(guidance);
   guidance_ = std::move(guidance);
   ++guidances_;
   monitor_->changed.notify_all();
@@ -126,7 +124,7 @@ v1::OpenNavigation NavigationExchange::opening() const {
   opening.set_run_id(run_id_);
   *opening.mutable_camera() = options_.camera;
   opening.set_words_hash(options_.words_hash);
-  if (goal_) *opening.mutable_goal() = *goal_;
+  if (const v1::Goal* goal = asked_.for_opening()) *opening.mutable_goal() = *goal;
   *opening.mutable_driving() = options_.driving;
   return opening;
 }

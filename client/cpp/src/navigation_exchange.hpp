@@ -9,6 +9,7 @@
 #include <string>
 #include <thread>
 
+#include "asked_goals.hpp"
 #include "backoff.hpp"
 #include "connection.hpp"
 #include "last_command.hpp"
@@ -43,12 +44,6 @@ class NavigationExchange {
   using Lock = std::unique_lock<std::mutex>;
   using NavigationLink = Link<v1::NavigateRequest, v1::NavigateResponse>;
 
-  // A goal, or a stop, that the server may not have got yet, and the stamp of the last report before it.
-  struct Unsaid {
-    std::shared_ptr<const v1::NavigateRequest> request;
-    std::int64_t after_stamp_ns;
-  };
-
   // The worker, with the lock held but for waits.
   void run();
   void work(Lock& lock);
@@ -64,7 +59,6 @@ class NavigationExchange {
   // The application's side, with the lock held.
   void check_running() const;
   bool offer(v1::NavigateRequest request);
-  void set_goal(v1::NavigateRequest request, std::optional<v1::Goal> known);
 
   const std::shared_ptr<const Connection> connection_;
   const NavigationOptions options_;
@@ -78,10 +72,7 @@ class NavigationExchange {
   // Whether the server has opened the navigation over the present link.
   bool is_open_ = false;
   std::optional<v1::NavigationOpened> opened_;
-  // What a restarted server is told, which does not know it.
-  std::optional<v1::Goal> goal_;
-  std::optional<Unsaid> unsaid_;
-  std::int64_t last_stamp_ns_ = 0;
+  AskedGoals asked_;
   LastCommand last_command_;
   std::optional<v1::Guidance> guidance_;
   std::uint64_t guidances_ = 0;

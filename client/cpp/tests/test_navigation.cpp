@@ -176,6 +176,20 @@ TEST_F(Led, ARobotStopsWhenTheStreamBreaksAndGoesOnAtARestartedServer) {
   EXPECT_TRUE(kept.label() == "dock" || kept.place_number() == goal) << kept.DebugString();
 }
 
+TEST_F(Led, ARestartedServerLeadsToTheGoalThatWasNotRefused) {
+  Navigation navigation = client.navigate(options(1.0));
+  navigation.go_to(label_goal("nowhere"));
+  ASSERT_TRUE(std::holds_alternative<GoalRefused>(navigation.next_event(patience).value()));
+  server->kill();
+  server->start();
+  ASSERT_TRUE(std::holds_alternative<Disconnected>(navigation.next_event(patience).value()));
+  const NavigationEvent back = navigation.next_event(patience).value();
+  ASSERT_TRUE(std::holds_alternative<Reconnected>(back)) << describe(back);
+  EXPECT_FALSE(std::get<Reconnected>(back).resumed);
+  const v1::Goal kept = shown(navigation).goal();
+  EXPECT_TRUE(kept.label() == "dock" || kept.place_number() == goal) << kept.DebugString();
+}
+
 TEST_F(Led, AServerThatStaysAwayEndsIt) {
   NavigationOptions impatient = options(1.0);
   impatient.reconnection.give_up_after = 500ms;

@@ -1,9 +1,10 @@
-// What needs no server: addresses, delays, commands, pixels.
+// What needs no server: addresses, delays, goals, commands, pixels.
 #include <gtest/gtest.h>
 
 #include <opencv2/imgcodecs.hpp>
 
 #include "../src/address.hpp"
+#include "../src/asked_goals.hpp"
 #include "../src/backoff.hpp"
 #include "../src/last_command.hpp"
 #include "support.hpp"
@@ -64,6 +65,45 @@ TEST(Delays, DoubleUpToTheLongestAndAddUpToTheTimeOfGivingUp) {
   backoff.progress();
   EXPECT_LE(*backoff.next_delay(now), settings.first_delay);
   thrown<InvalidUse>([] { Backoff({0ms, 1ms, 1ms}); });
+}
+
+v1::GoalRefusal refusal_of(const v1::Goal& goal) {
+  v1::GoalRefusal refusal;
+  *refusal.mutable_goal() = goal;
+  return refusal;
+}
+
+TEST(Goals, AStopOutlivesTheGoalsAfterIt) {
+  AskedGoals goals(place_goal(1));
+  goals.go_to(label_goal("nowhere"));
+  goals.stop();
+  for (std::uint32_t number = 0; number < 100; ++number) goals.go_to(place_goal(number));
+  goals.refused(refusal_of(label_goal("nowhere")));
+  std::vector<v1::NavigateRequest> unsaid;
+  goals.send_unsaid([&](const AskedGoals::Request& request) { unsaid.push_back(*request); });
+  ASSERT_EQ(unsaid.size(), 4U);
+  EXPECT_TRUE(unsaid.front().has_stop());
+  EXPECT_EQ(unsaid.back().goal().place_number(), 99U);
+  EXPECT_TRUE(goals.is_stopping());
+  EXPECT_EQ(goals.for_opening(), nullptr);
+}
+
+TEST(Goals, ALabelIsRefusedByItsPlaceOnceTheServerLookedItUp) {
+  AskedGoals goals(label_goal("dock"));
+  goals.refused(refusal_of(place_goal(4)));
+  EXPECT_EQ(goals.for_opening(), nullptr);
+}
+
+TEST(Goals, OneThatWasReachedIsNotReturnedTo) {
+  AskedGoals goals(place_goal(1));
+  v1::Guidance arrived;
+  arrived.set_stamp_ns(1);
+  arrived.set_status(v1::NAVIGATION_STATUS_ARRIVED);
+  goals.guided(arrived);
+  ASSERT_NE(goals.for_opening(), nullptr);
+  goals.go_to(place_goal(2));
+  goals.refused(refusal_of(place_goal(2)));
+  EXPECT_EQ(goals.for_opening(), nullptr);
 }
 
 TEST(Commands, LapseByTheTimeOfTheirArrival) {
