@@ -14,6 +14,7 @@ import pytest
 from conftest import PATIENCE_S, eventually
 
 import waypost
+from waypost.asked import MOST_GOALS, AskedGoals
 from waypost.client import lazy
 from waypost.v1 import navigation_pb2, navigation_pb2_grpc
 from waypost.v1.geometry_pb2 import Camera
@@ -199,3 +200,35 @@ def test_a_refusal_does_not_take_a_later_stop_away(led: Led) -> None:
     stream = peer.stream(resumed=True)
     assert not stream.opening.HasField("goal")
     assert stream.asked() == STOP
+
+
+def test_a_stop_outlives_the_goals_after_it() -> None:
+    goals = AskedGoals(Goal(place_number=1))
+    goals.go_to(NOWHERE)
+    goals.stop()
+    for number in range(100):
+        goals.go_to(Goal(place_number=number))
+    assert len(goals.unsaid) == MOST_GOALS
+    assert goals.unsaid[0] == STOP
+    assert goals.unsaid[-1].goal == Goal(place_number=99)
+    goals.refused(NOWHERE)
+    assert len(goals.unsaid) == MOST_GOALS
+    assert goals.is_stopping
+    assert goals.for_opening is None
+
+
+def test_a_label_is_refused_by_its_place_once_the_server_looked_it_up() -> None:
+    goals = AskedGoals(Goal(label="dock"))
+    goals.go_to(NOWHERE)
+    goals.refused(Goal(place_number=4))
+    assert goals.for_opening is None
+    assert [request.goal for request in goals.unsaid] == [NOWHERE]
+
+
+def test_a_goal_that_was_reached_is_not_returned_to() -> None:
+    goals = AskedGoals(Goal(place_number=1))
+    goals.guided(navigation_pb2.Guidance(stamp_ns=1, status=navigation_pb2.NAVIGATION_STATUS_ARRIVED))
+    assert goals.for_opening == Goal(place_number=1)
+    goals.go_to(NOWHERE)
+    goals.refused(NOWHERE)
+    assert goals.for_opening is None
