@@ -134,6 +134,8 @@ impl Navigation {
     /// # Errors
     /// As [`go_to`](Self::go_to).
     pub async fn stop(&mut self) -> Result<(), Error> {
+        // Now, however long the queue to the server is.
+        lock(&self.last_command).forget();
         self.send(Request::Stop(v1::StopNavigation {})).await
     }
 
