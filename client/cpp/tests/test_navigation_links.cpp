@@ -45,6 +45,9 @@ class Queue {
   std::deque<Value> values_;
 };
 
+// What the robot finds behind the next connection.
+enum class Found { same_server, restarted_server };
+
 // The server's side of a stream, which the test answers.
 struct Stream {
   v1::OpenNavigation opening;
@@ -55,10 +58,10 @@ struct Stream {
   v1::NavigateRequest asked() { return requests.take(); }
   std::int64_t report() { return asked().wheels().stamp_ns(); }
   void cut() { responses.put(std::nullopt); }
-  void open(bool resumed) {
+  void open(Found found) {
     v1::NavigateResponse response;
     response.mutable_opened()->set_navigation("maps/hall/navigations/robot");
-    response.mutable_opened()->set_resumed(resumed);
+    response.mutable_opened()->set_resumed(found == Found::same_server);
     responses.put(std::move(response));
   }
   // Answers a report, or a frame, with a command to drive.
@@ -96,9 +99,9 @@ class Peer final : public v1::NavigationService::Service {
 
   const std::string& address() const { return address_; }
   // The next stream of the robot, opened.
-  std::shared_ptr<Stream> next(bool resumed) {
+  std::shared_ptr<Stream> next(Found found) {
     std::shared_ptr<Stream> stream = streams_.take();
-    stream->open(resumed);
+    stream->open(found);
     return stream;
   }
 
@@ -139,7 +142,7 @@ struct Led {
     options.reconnection.first_delay = 2ms;
     auto opening =
         std::async(std::launch::async, [&] { return Client::lazy(peer.address()).navigate(options); });
-    stream = peer.next(false);
+    stream = peer.next(Found::restarted_server);
     navigation = opening.get();
     navigation->report({1});
     EXPECT_EQ(stream->report(), 1);
@@ -164,9 +167,9 @@ struct Led {
     ADD_FAILURE() << "no refusal came";
   }
   // The stream breaks, and the robot opens the next.
-  void reconnect(bool resumed) {
+  void reconnect(Found found) {
     stream->cut();
-    stream = peer.next(resumed);
+    stream = peer.next(found);
   }
   // Reports as soon as there is a connection.
   void report(std::int64_t stamp_ns) {
@@ -185,7 +188,7 @@ TEST(NavigationLinks, AStopThatADeadLinkSwallowedIsSentAgain) {
   led.guide(2);
   EXPECT_FALSE(led.drives());
 
-  led.reconnect(true);
+  led.reconnect(Found::same_server);
   EXPECT_FALSE(led.stream->opening.has_goal());
   EXPECT_TRUE(led.stream->asked().has_stop());
   led.report(4);
@@ -193,7 +196,7 @@ TEST(NavigationLinks, AStopThatADeadLinkSwallowedIsSentAgain) {
   // What it says now it says in the knowledge of the stop.
   EXPECT_TRUE(led.drives());
 
-  led.reconnect(true);
+  led.reconnect(Found::same_server);
   led.report(5);
 }
 
@@ -205,13 +208,13 @@ TEST(NavigationLinks, GoalsThatADeadLinkSwallowedAreSentAgainInOrder) {
   // While it is away, too.
   led.navigation->go_to(place_goal(4));
 
-  led.stream = led.peer.next(true);
+  led.stream = led.peer.next(Found::same_server);
   // Any of the others may yet be refused.
   EXPECT_EQ(led.stream->opening.goal().place_number(), 1U);
   for (const std::uint32_t number : {2U, 3U, 4U}) EXPECT_EQ(led.stream->asked().goal().place_number(), number);
   led.report(2);
   led.guide(2);
-  led.reconnect(false);
+  led.reconnect(Found::restarted_server);
   EXPECT_EQ(led.stream->opening.goal().place_number(), 4U);
 }
 
@@ -229,7 +232,7 @@ TEST(NavigationLinks, ARestartedServerIsToldTheGoalThatWasNotRefused) {
       led.guide(2);
     }
     for (const v1::Goal& goal : wrong) led.refuse(goal);
-    led.reconnect(false);
+    led.reconnect(Found::restarted_server);
     EXPECT_EQ(led.stream->opening.goal().place_number(), 1U);
     // Nothing is sent again.
     led.report(3);
@@ -241,7 +244,7 @@ TEST(NavigationLinks, ARefusalDoesNotTakeALaterStopAway) {
   led.navigation->go_to(label_goal("nowhere"));
   led.navigation->stop();
   led.refuse(label_goal("nowhere"));
-  led.reconnect(true);
+  led.reconnect(Found::same_server);
   EXPECT_FALSE(led.stream->opening.has_goal());
   EXPECT_TRUE(led.stream->asked().has_stop());
 }
