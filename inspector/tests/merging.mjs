@@ -133,6 +133,30 @@ test("a merge is committed and undone, and a decision that comes too late is ref
     await close();
 });
 
+test("what a merge brings into a map that was there before is none of its own, and is drawn once", async () => {
+    const before = await Promise.all(["monday", "tuesday"].map(async (day) => (await rest(`maps/${day}`)).places));
+    const body = JSON.stringify({ sources: ["maps/tuesday"], target: "maps/monday" });
+    const { name } = await rest("merges", { method: "POST", headers: { "content-type": "application/json" }, body });
+    const { page, close } = await open(`#/${name}`);
+    await state(page, "proposed");
+    const drawn = () => page.getByRole("region", { name: "The maps on each other" }).locator("canvas").getAttribute("data-drawn");
+    await until("both maps on each other", async () => (await drawn()) === String(before[0] + before[1]));
+    await page.getByRole("button", { name: "Commit", exact: true }).click();
+    await page.getByRole("dialog").getByRole("button", { name: "Commit the merge" }).click();
+    await state(page, "committed");
+    assert.deepEqual((await rest(name)).sources[0].sessions, ["tuesday"]);
+    const { places } = await rest("maps/monday");
+    assert.ok(places > before[0], "the merge has brought no place");
+    const base = page.getByRole("region", { name: "The base monday" });
+    await base.getByText(`${places} places`).waitFor();
+    assert.match(await base.textContent(), /1 session of its own/);
+    assert.deepEqual(await base.getByRole("listitem").getByRole("link").allTextContents(), ["monday"]);
+    await until("each place once", async () => (await drawn()) === String(before[0] + before[1]));
+    await page.getByRole("region", { name: "Evidence for tuesday" }).getByText("Its session in the target: tuesday").waitFor();
+    await server.call(null, "merge", "undo", name.slice(7));
+    await close();
+});
+
 test("maps without an overlap say why, and the list has every merge with what became of it", async () => {
     const { page, close } = await open("#/merges?maps=demo&into=monday", { viewport: PHONE, colorScheme: "dark" });
     await page.getByLabel("commit unseen").check();

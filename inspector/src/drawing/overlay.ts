@@ -49,12 +49,17 @@ export function partsOf({ base, sources }: Merge): string[] {
     return [...(base ? [base] : []), ...sources].map(({ map }) => map);
 }
 
+/** Sessions of the target that the merge has brought from other maps. It tells them by what they are called there. */
+export function broughtOf({ sources, target }: Merge): Set<string> {
+    return new Set(sources.flatMap(({ sessions }) => sessions.map((session) => `${target}/sessions/${session}`)));
+}
+
 export async function overlaid(merge: Merge, signal: AbortSignal): Promise<Overlaid> {
     const measured = merge.sources.filter(({ overlap }) => overlap?.transformation);
     const part = measured[0]?.overlap?.target_part ?? 0;
     const shown = measured.filter(({ overlap }) => overlap!.target_part === part);
     // A base that was merged into holds what the others brought: that is not drawn twice.
-    const brought = new Set(merge.sources.flatMap(({ sessions }) => sessions));
+    const brought = broughtOf(merge);
     const layer = async (map: string, of: number, frame: Pose): Promise<Layer> => {
         const loaded = await layerOf(map, signal);
         const own = ofPart(loaded, of).filter(({ frames }) => !brought.has(frames[0]?.session ?? ""));

@@ -3,7 +3,7 @@ import { createContext } from "preact";
 import { useContext, useState } from "preact/hooks";
 import { hash, START, type Go, type Link } from "../link";
 import { pose } from "../drawing/geometry";
-import { baseOf, partsOf } from "../drawing/overlay";
+import { baseOf, broughtOf, partsOf } from "../drawing/overlay";
 import { all, at, change, get, Refusal, short, type Job, type Merge, type Schemas, type Session, type WayMap } from "../rest";
 import {
     fixed, keepsPictures, moment, NoPicture, Outcome, Picture, plural, Question, Refused, share, Shown, useAsked, useAttempt, useMayAll, usePolled,
@@ -183,11 +183,6 @@ function Base({ merge }: { merge: Merge }) {
     );
 }
 
-/** Sessions of the target that the merge has brought from other maps. */
-function broughtOf({ sources }: Merge): Set<string> {
-    return new Set(sources.flatMap(({ sessions }) => sessions));
-}
-
 function Sessions({ known, sessions, brought }: { known: WayMap; sessions: Session[]; brought: Set<string> }) {
     const own = sessions.filter(({ name }) => !brought.has(name));
     return <>
@@ -216,7 +211,7 @@ function Source({ source, searching, link, go }: SourceProps) {
         <section class="panel" aria-label={`Evidence for ${short(map)}`}>
             <header><h2>{short(map)}</h2>{!searching && <span class="quiet">{plural(places, "place")}</span>}</header>
             {overlap ? <Evidence overlap={overlap} link={link} go={go} /> : no_overlap_reason ? <p>No overlap: {no_overlap_reason}</p> : <p class="quiet">{searching ? "It is being looked for." : "It was not looked for to the end."}</p>}
-            {sessions.length > 0 && <p class="quiet small">Its {sessions.length === 1 ? "session" : "sessions"} in the target: {sessions.map(short).join(", ")}</p>}
+            {sessions.length > 0 && <p class="quiet small">Its {sessions.length === 1 ? "session" : "sessions"} in the target: {sessions.join(", ")}</p>}
         </section>
     );
 }
