@@ -1,6 +1,7 @@
 // What happens in a map, while it happens: the server's events, read from an answer that does not end.
 // A browser's own EventSource sends no token, so the answer is fetched, and read as the HTML standard says.
 import { at, open, Refusal, type Schemas } from "./rest";
+import { parse } from "./sequence";
 
 type MapEvent = Schemas["MapEvent"];
 
@@ -87,7 +88,7 @@ export async function follow(map: string, { renew, hear, live }: Listener, signa
                 pause = FIRST_PAUSE_MS;
                 if (event === "error") throw refusalOf(data);
                 if (id !== null) last = id;
-                hear(JSON.parse(data) as MapEvent);
+                hear(parse<MapEvent>(data));
             }
         } catch (error) {
             if (signal.aborted) return;

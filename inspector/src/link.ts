@@ -1,5 +1,6 @@
 // Where the person is, as the hash of the page's address: what is shown can be shared.
 import { useEffect, useState } from "preact/hooks";
+import { sequenceOf, type Sequence } from "./sequence";
 
 export type Colour = "session" | "time" | "space";
 export type Shape = "ring" | "strip";
@@ -17,7 +18,7 @@ export interface Link {
     laid: [number, number, number][] | null;
     /** The cursor of time: a frame of a session. */
     session: string | null;
-    frame: number | null;
+    frame: Sequence | null;
     /** A place that was picked; without it, the cursor's. */
     place: number | null;
     /** The place that the cursor's frame is shown beside; without it, the one that it was compared with. */
@@ -108,7 +109,7 @@ export function read(hash: string): Link {
         page: "map",
         map: decoded(map),
         session: given.get("session"),
-        frame: whole(given.get("frame")),
+        frame: sequenceOf(given.get("frame")),
         place: whole(given.get("place")),
         beside: whole(given.get("beside")),
         matrix: given.get("matrix") || null,
@@ -142,7 +143,7 @@ export function hash(link: Link): string {
         return `#/merges${link.merge === null ? "" : `/${link.merge}`}${asked(given)}`;
     }
     if (link.session !== null) given.set("session", link.session);
-    if (link.frame !== null) given.set("frame", String(link.frame));
+    if (link.frame !== null) given.set("frame", link.frame);
     if (link.place !== null) given.set("place", String(link.place));
     if (link.beside !== null) given.set("beside", String(link.beside));
     if (link.matrix) given.set("matrix", link.matrix);

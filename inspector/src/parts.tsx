@@ -322,7 +322,7 @@ export function useSize<E extends HTMLElement>() {
     return [element, size] as const;
 }
 
-export function count(value: number): string {
+export function count(value: number | bigint): string {
     return value.toLocaleString("en-GB");
 }
 

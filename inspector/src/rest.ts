@@ -1,7 +1,8 @@
 // What the server is asked: typed by its own description, with the token that the person gave.
 import type { components } from "./rest_types";
+import { parse, type Exact } from "./sequence";
 
-export type Schemas = components["schemas"];
+export type Schemas = Exact<components["schemas"]>;
 export type WayMap = Schemas["Map"];
 export type Place = Schemas["Place"];
 export type Session = Schemas["Session"];
@@ -69,7 +70,7 @@ export function open(path: string, headers: HeadersInit, signal: AbortSignal): P
 }
 
 export async function get<T>(path: string, signal?: AbortSignal): Promise<T> {
-    return (await ask(path, signal ? { signal } : {})).json();
+    return parse<T>(await text(path, signal));
 }
 
 export async function text(path: string, signal?: AbortSignal): Promise<string> {
@@ -89,8 +90,8 @@ export async function streams(map: string, signal: AbortSignal): Promise<OpenStr
 /** Changes something: POST, PUT and PATCH with a body, DELETE without. */
 export async function change<T>(method: "POST" | "PUT" | "PATCH" | "DELETE", path: string, body?: unknown): Promise<T> {
     const json = { "content-type": "application/json" };
-    return (await ask(path, body === undefined ? { method } : { method, headers: json, body: JSON.stringify(body) }))
-        .json();
+    const answer = await ask(path, body === undefined ? { method } : { method, headers: json, body: JSON.stringify(body) });
+    return parse<T>(await answer.text());
 }
 
 /** Makes a token. The first one is taken by this page itself: from then on the server serves nobody without one. */
@@ -119,7 +120,8 @@ export async function rotateToken({ name }: Token, overlap_s: number, own: boole
 
 /** Sends a file as it lies on the disk. */
 export async function send<T>(path: string, file: Blob): Promise<T> {
-    return (await ask(path, { method: "POST", headers: { "content-type": "application/octet-stream" }, body: file })).json();
+    const answer = await ask(path, { method: "POST", headers: { "content-type": "application/octet-stream" }, body: file });
+    return parse<T>(await answer.text());
 }
 
 /** Puts what is at a path among the person's downloads. A link sends no token: with one, it is fetched and then kept. */
@@ -135,7 +137,7 @@ export async function download(path: string, name: string) {
 const PAGE_SIZE = 1000;
 
 /** The pages of a list, one after the other. */
-export async function* pages<K extends string, T>(path: string, key: K, signal?: AbortSignal, size = PAGE_SIZE, asked: Record<string, number> = {}) {
+export async function* pages<K extends string, T>(path: string, key: K, signal?: AbortSignal, size = PAGE_SIZE, asked: Record<string, number | string> = {}) {
     const only = Object.entries(asked).map(([name, value]) => `&${name}=${value}`).join("");
     for (let next = "", first = true; first || next; first = false) {
         const more = next ? `&page_token=${encodeURIComponent(next)}` : "";
@@ -146,7 +148,7 @@ export async function* pages<K extends string, T>(path: string, key: K, signal?:
 }
 
 /** A list as a whole, of at most `most` elements where that is given. */
-export async function all<K extends string, T>(path: string, key: K, signal?: AbortSignal, most = Infinity, asked: Record<string, number> = {}) {
+export async function all<K extends string, T>(path: string, key: K, signal?: AbortSignal, most = Infinity, asked: Record<string, number | string> = {}) {
     const found: T[] = [];
     for await (const page of pages<K, T>(path, key, signal, PAGE_SIZE, asked)) {
         for (const one of page) found.push(one);

@@ -8,4 +8,5 @@ import "./large.mjs";
 import "./operations.mjs";
 import "./merging.mjs";
 import "./live.mjs";
+import "./numbers.mjs";
 import "./tokens.mjs";

@@ -2,6 +2,7 @@
 import type { Shape } from "../link";
 import type { LoopClosure } from "../rest";
 import { short } from "../rest";
+import { compare, type Sequence } from "../sequence";
 import type { Drive, MapData } from "./data";
 import { compose, inverse, pose, rowOf, until, type Stamped } from "./geometry";
 import { byLooks, empty, ring, strip, type Points } from "./layout";
@@ -140,7 +141,7 @@ function closuresBetween(data: MapData, near: Near, { x, y }: Points): Closure[]
     });
 }
 
-type Visit = [sequence: number, place: number];
+type Visit = [sequence: Sequence, place: number];
 
 /** Where each session was, by sequence number. */
 export function visitsOf({ places }: Pick<MapData, "places">): Map<string, Visit[]> {
@@ -153,14 +154,14 @@ export function visitsOf({ places }: Pick<MapData, "places">): Map<string, Visit
             else visits.set(session, [[sequence, number]]);
         }
     }
-    for (const there of visits.values()) there.sort(([a], [b]) => a - b);
+    for (const there of visits.values()) there.sort(([a], [b]) => compare(a, b));
     return visits;
 }
 
-function lastBefore(visits: Visit[], sequence: number): number | null {
+function lastBefore(visits: Visit[], sequence: Sequence): number | null {
     let found: number | null = null;
     for (const [at, place] of visits) {
-        if (at >= sequence) break;
+        if (compare(at, sequence) >= 0) break;
         found = place;
     }
     return found;

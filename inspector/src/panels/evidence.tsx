@@ -4,6 +4,7 @@ import { residuals } from "../drawing/residuals";
 import type { MapData } from "../drawing/data";
 import { sure } from "../drawing/scene";
 import { at, download, short, text } from "../rest";
+import type { Sequence } from "../sequence";
 import { plural, share, Shown, useAsked } from "../parts";
 import { PlaceLink } from "./pair";
 
@@ -13,7 +14,7 @@ interface EvidenceProps {
     data: MapData;
     metric: boolean;
     onPlace: (place: number) => void;
-    onFrame: (session: string, sequence: number) => void;
+    onFrame: (session: string, sequence: Sequence) => void;
 }
 
 export function Evidence({ data, metric, onPlace, onFrame }: EvidenceProps) {

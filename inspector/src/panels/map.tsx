@@ -4,6 +4,7 @@ import { load, type MapData } from "../drawing/data";
 import { sceneOf } from "../drawing/scene";
 import type { Go, Link } from "../link";
 import { at, get, short, type Place as PlaceRecord } from "../rest";
+import { compare, type Sequence } from "../sequence";
 import { keepsPictures, plural, Shown, useAsked, useNarrow } from "../parts";
 import { Drawing } from "./drawing";
 import { Evidence } from "./evidence";
@@ -41,7 +42,7 @@ function Loaded({ given, link, go, onAgain }: MapPageProps & { given: MapData; o
     const session = sessions.find(({ name }) => short(name) === link.session) ?? sessions[0] ?? null;
     const { steps, whole, more, error, hear } = useSteps(session, link.frame, lists);
     const cursor = cursorOf(steps, link.frame);
-    const coming = (!whole || more[1]) && link.frame !== null && link.frame > (steps.at(-1)?.sequence ?? -1);
+    const coming = (!whole || more[1]) && link.frame !== null && isAhead(steps, link.frame);
     const step = coming ? null : (steps[cursor] ?? null);
     const place = link.place ?? step?.place ?? null;
     const strayed = strayedTo(link, session && short(session.name), coming ? null : step);
@@ -55,7 +56,7 @@ function Loaded({ given, link, go, onAgain }: MapPageProps & { given: MapData; o
     const newest = link.follow ? heard.streaming.at(-1) : undefined;
     const known = newest && sessions.some(({ name }) => name === newest.session);
     useEffect(() => {
-        if (newest && known) go({ session: short(newest.session), frame: Number(short(newest.frame.name)), place: null });
+        if (newest && known) go({ session: short(newest.session), frame: short(newest.frame.name), place: null });
     }, [newest?.frame.name, known]);
     const narrow = useNarrow();
     const { closer, onSeen } = useCloser(data);
@@ -66,18 +67,18 @@ function Loaded({ given, link, go, onAgain }: MapPageProps & { given: MapData; o
     useLayoutEffect(() => {
         latest.current = cursor;
     }, [cursor]);
-    const toFrame = (frame: number) =>
+    const toFrame = (frame: Sequence) =>
         go({ frame, place: null, beside: null, follow: false, session: session ? short(session.name) : null });
     const onCursor = (index: number | "first" | "last") => {
         const end = index === "first" ? session?.first_sequence : index === "last" ? session?.last_sequence : null;
-        if (typeof end === "number" && (more[0] || more[1])) return toFrame(end);
+        if (typeof end === "string" && (more[0] || more[1])) return toFrame(end);
         const wanted = index === "first" ? 0 : index === "last" ? steps.length - 1 : index;
         const nearest = Math.min(Math.max(wanted, 0), steps.length - 1);
         const to = steps[nearest];
         if (to) latest.current = nearest;
         if (to) toFrame(to.sequence);
     };
-    const onFrame = (session: string, frame: number) => go({ session: short(session), frame, place: null, beside: null, follow: false });
+    const onFrame = (session: string, frame: Sequence) => go({ session: short(session), frame, place: null, beside: null, follow: false });
     const framesOf = async (number: number) => {
         const known = closer.placeOf(number) ?? (data.every > 1 ? await get<PlaceRecord>(at(`${map.name}/places/${number}`)).catch(() => undefined) : undefined);
         return known?.frames ?? [];
@@ -148,10 +149,16 @@ function strayedTo({ session, frame }: Link, shown: string | null, step: Step | 
     return null;
 }
 
+/** Whether a frame comes after all of these. */
+function isAhead(steps: Step[], frame: Sequence): boolean {
+    const last = steps.at(-1);
+    return !last || compare(frame, last.sequence) > 0;
+}
+
 /** The frame of the link, or the last one before it; without one, the first. */
-function cursorOf(steps: Step[], frame: number | null): number {
+function cursorOf(steps: Step[], frame: Sequence | null): number {
     if (frame === null) return 0;
-    const after = steps.findIndex(({ sequence }) => sequence > frame);
+    const after = steps.findIndex(({ sequence }) => compare(sequence, frame) > 0);
     return Math.max(after < 0 ? steps.length - 1 : after - 1, 0);
 }
 

@@ -269,7 +269,7 @@ function Seen({ frame, note, place }: { frame: string; note: string; place: numb
     const pictured = useContext(Pictured);
     const [, map = "", , session = "", , sequence = ""] = frame.split("/");
     return (
-        <a class="seen" href={hash({ ...START, page: "map", map, session, frame: Number(sequence) })} title={`${map}, ${session}, ${note || `frame ${sequence}`}`}>
+        <a class="seen" href={hash({ ...START, page: "map", map, session, frame: sequence })} title={`${map}, ${session}, ${note || `frame ${sequence}`}`}>
             {pictured?.has(mapOf(frame)) && <Picture path={`${at(frame)}/image?size=thumbnail`} alt="" />}
             {pictured?.has(mapOf(frame)) === false && <NoPicture why="The map is gone, or keeps words alone" />}
             <span>place {place}</span>

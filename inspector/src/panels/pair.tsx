@@ -1,5 +1,6 @@
 // Why a frame was decided as it was: it beside what it was compared with, and each gate with its number.
 import { at, get, type Explanation, type FrameRecord, type Schemas } from "../rest";
+import type { Sequence } from "../sequence";
 import { pause, Picture, share, Shown, useAsked } from "../parts";
 import { Correcting } from "./correcting";
 import { Large } from "./large";
@@ -50,7 +51,7 @@ export function Pair({ session, step, beside, pictures, large, follow, onLarge, 
 interface ViewsProps {
     explanation: Explanation;
     frame: string;
-    sequence: number;
+    sequence: Sequence;
     large: boolean;
     onLarge: (large: boolean) => void;
 }

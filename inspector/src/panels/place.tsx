@@ -3,6 +3,7 @@ import { useEffect, useState } from "preact/hooks";
 import type { MapData } from "../drawing/data";
 import { pose } from "../drawing/geometry";
 import { at, change, get, short, type Place as PlaceRecord, type Schemas } from "../rest";
+import { brief, type Sequence } from "../sequence";
 import { fixed, keepsPictures, moment, NoPicture, Picture, plural, Refused, Shown, useAsked, useMay } from "../parts";
 import { PlaceLink } from "./pair";
 
@@ -12,7 +13,7 @@ interface PlaceProps {
     data: MapData;
     number: number;
     onPlace: (place: number) => void;
-    onFrame: (session: string, sequence: number) => void;
+    onFrame: (session: string, sequence: Sequence) => void;
     onLabels: (labels: Map<number, string>) => void;
 }
 
@@ -44,7 +45,7 @@ function About({ place, pictures, onPlace, onFrame }: AboutProps) {
                     aria-label={`Frame ${sequence} of ${short(session)}`} title={`${short(session)}, frame ${sequence}, ${moment(stamp_ns)}`}
                 >
                     {pictures ? <Picture path={`${at(session)}/frames/${sequence}/image?size=thumbnail`} alt="" /> : <NoPicture />}
-                    <span>{several && `${short(session)} `}{sequence}</span>
+                    <span>{several && `${short(session)} `}{brief(sequence)}</span>
                 </button>
             ))}
         </div>

@@ -1,6 +1,7 @@
 // Robots that are led along the map: where they are, where they go, and what takes their goal away.
 import { useEffect, useState } from "preact/hooks";
 import { at, change, short, type FrameAnswer, type Navigation, type OpenStream } from "../rest";
+import type { Sequence } from "../sequence";
 import { count, Refused, share, useMay } from "../parts";
 import type { Led } from "./led";
 import type { Live, Streaming } from "./live";
@@ -11,7 +12,7 @@ interface RobotsProps {
     heard: Live;
     place: number | null;
     onPlace: (place: number) => void;
-    onFrame: (session: string, sequence: number) => void;
+    onFrame: (session: string, sequence: Sequence) => void;
 }
 
 export function Robots({ heard: { robots, streaming, open, live, error }, place, onPlace, onFrame }: RobotsProps) {
@@ -41,7 +42,7 @@ interface StreamProps extends Pick<RobotsProps, "onPlace" | "onFrame"> {
 /** A robot that streams into a session, or did a moment ago. One that only looks adds no frames to the map. */
 function Stream({ session, open, heard, onPlace, onFrame }: StreamProps) {
     const answer = heard?.frame.answer ?? open?.last_answer ?? null;
-    const sequence = heard ? Number(short(heard.frame.name)) : null;
+    const sequence = heard ? short(heard.frame.name) : null;
     const looks = open?.mode === "localize";
     return (
         <article class="robot">

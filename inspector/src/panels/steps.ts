@@ -1,11 +1,12 @@
 // The frames of a session: as they were, page by page, and as they come.
 import { useEffect, useRef, useState } from "preact/hooks";
 import { at, pages, short, type FrameRecord, type Session } from "../rest";
+import { compare, type Sequence } from "../sequence";
 import { sessionOf } from "./live";
 
 /** What the strip needs of a frame: sessions are long. */
 export interface Step {
-    sequence: number;
+    sequence: Sequence;
     /** What its robot calls it, as by the name of its file; empty if nothing. */
     note: string;
     stamp_ns: number;
@@ -21,7 +22,7 @@ export interface Step {
 
 function stepOf({ name, note, stamp_ns, answer, corrections }: FrameRecord): Step {
     return {
-        sequence: Number(short(name)),
+        sequence: short(name),
         note,
         stamp_ns,
         reason: corrections.some(({ verdict }) => verdict === "withdrawn") ? "withdrawn" : (answer?.reason ?? "unknown"),
@@ -54,12 +55,25 @@ const LONG = 5000;
 const WINDOW = 2000;
 const STRIDE = WINDOW / 2;
 
-/** Where the window begins that has a frame in its middle; none if the session is listed as a whole. */
-function windowOf(session: Session | null, frame: number | null): number | null {
-    const first = session?.first_sequence ?? null;
-    if (session === null || first === null || session.frames <= LONG) return null;
-    const far = (frame ?? first) - first;
-    return first + Math.max(Math.floor((far - STRIDE / 2) / STRIDE), 0) * STRIDE;
+interface Window {
+    from: Sequence;
+    /** The window after it has the frames from here on in its middle: what is listed must reach it. */
+    until: Sequence;
+}
+
+/**
+ * The window that has a frame in its middle; none if the session is listed as a whole. Numbers may lie apart, as stamps do:
+ * windows are as much longer. That is rounded down to a power of two, so that a session that grows keeps its windows.
+ */
+export function windowOf(session: Session | null, frame: Sequence | null): Window | null {
+    const { first_sequence = null, last_sequence = null, frames } = session ?? { frames: 0 };
+    if (first_sequence === null || last_sequence === null || frames <= LONG) return null;
+    const [first, last] = [BigInt(first_sequence), BigInt(last_sequence)];
+    const apart = (last - first) / BigInt(frames - 1);
+    const stride = BigInt(STRIDE) << BigInt(Math.max(apart.toString(2).length - 1, 0));
+    const strides = (BigInt(frame ?? first_sequence) - first - stride / 2n) / stride;
+    const from = first + (strides > 0n ? strides : 0n) * stride;
+    return { from: String(from), until: String(from + stride + stride / 2n) };
 }
 
 /** Most frames that are kept of those that come while the page is open for days: the oldest make room. */
@@ -69,9 +83,10 @@ const MOST_STEPS = 100_000;
  * The frames of a session, of a long one those around the cursor's, and what adds those that were decided since. They are
  * listed anew with other `times`.
  */
-export function useSteps(of: Session | null, frame: number | null, times: number): Steps & { hear: (frames: FrameRecord[]) => void } {
+export function useSteps(of: Session | null, frame: Sequence | null, times: number): Steps & { hear: (frames: FrameRecord[]) => void } {
     const session = of?.name ?? null;
-    const from = windowOf(of, frame);
+    const around = windowOf(of, frame);
+    const from = around?.from ?? null;
     const [known, setKnown] = useState<Steps & { of: string | null }>({ of: session, ...NONE });
     const listed = useRef<string | null>(null);
     const coming = useRef<Step[]>([]);
@@ -88,14 +103,14 @@ export function useSteps(of: Session | null, frame: number | null, times: number
             let more = false;
             for await (const page of pages<"frames", FrameRecord>(`${at(session)}/frames`, "frames", gone.signal, undefined, from === null ? {} : { from_sequence: from })) {
                 steps = steps.concat(page.map(stepOf));
-                more = from !== null && steps.length >= WINDOW;
+                more = around !== null && steps.length >= WINDOW && compare(steps.at(-1)!.sequence, around.until) >= 0;
                 if (more) break;
                 if (!gone.signal.aborted && !anew) setKnown({ of: session, ...NONE, steps });
             }
             if (gone.signal.aborted) return;
             const last = of?.last_sequence ?? null;
-            const after = more && last !== null && (steps.at(-1)?.sequence ?? last) < last;
-            const before = from !== null && from > (of?.first_sequence ?? from);
+            const after = more && last !== null && compare(steps.at(-1)?.sequence ?? last, last) < 0;
+            const before = from !== null && compare(from, of?.first_sequence ?? from) > 0;
             setKnown({ of: session, steps: after ? steps : grown(steps, coming.current), whole: true, more: [before, after], error: null });
         };
         read().catch((error: Error) => gone.signal.aborted || setKnown((now) => ({ ...now, error })));
@@ -113,8 +128,8 @@ export function useSteps(of: Session | null, frame: number | null, times: number
 
 /** With what is newer at the end. */
 function grown(steps: Step[], newer: Step[]): Step[] {
-    const last = steps.at(-1)?.sequence ?? -1;
-    const added = newer.filter(({ sequence }) => sequence > last);
+    const last = steps.at(-1);
+    const added = last ? newer.filter(({ sequence }) => compare(sequence, last.sequence) > 0) : newer;
     if (added.length === 0) return steps;
     const most = Math.max(MOST_STEPS, steps.length);
     return steps.concat(added).slice(-most);

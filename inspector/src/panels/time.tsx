@@ -3,6 +3,7 @@ import { useEffect, useMemo, useRef } from "preact/hooks";
 import uPlot from "uplot";
 import { ink } from "../drawing/colours";
 import { at, short, type Session } from "../rest";
+import { brief } from "../sequence";
 import { count, NoPicture, Picture, plural, Refused, useDark, useSize } from "../parts";
 import { DeleteSession } from "./deleting";
 import { REASONS, type Step } from "./steps";
@@ -43,7 +44,7 @@ export function Time(props: TimeProps) {
                     <button type="button" aria-label="Last frame" disabled={last} onClick={() => onCursor("last")}>▶|</button>
                 </span>
                 <output data-testid="cursor">{step ? `frame ${step.sequence}: ${REASONS[step.reason] ?? step.reason}` : "no frame"}</output>
-                <span class="quiet">{more[0] || more[1] ? `frames ${count(steps[0]!.sequence)} to ${count(steps.at(-1)!.sequence)}, of ${count(session.frames)}` : plural(steps.length, "frame")}{whole ? "" : ", more are coming"} · keys ← →</span>
+                <span class="quiet">{more[0] || more[1] ? `frames ${count(BigInt(steps[0]!.sequence))} to ${count(BigInt(steps.at(-1)!.sequence))}, of ${count(session.frames)}` : plural(steps.length, "frame")}{whole ? "" : ", more are coming"} · keys ← →</span>
             </header>
             {error && <Refused error={error} />}
             {steps.length > 0 && <>
@@ -65,8 +66,10 @@ interface AlongProps {
 /** Left of the plot, so that the heat map begins where the lines do. */
 const AXIS_PX = 46;
 const PLOT_PX = 120;
-/** Half of a frame's number. */
+/** A digit of a frame's number below the plot; half of a short number, and how far the middles of two are apart at least. */
+const DIGIT_PX = 7;
 const NUMBER_PX = 14;
+const NUMBERS_APART_PX = 50;
 
 function Plot({ steps, cursor, threshold, onCursor }: AlongProps & { threshold: number | null }) {
     const [box, { width }] = useSize<HTMLDivElement>();
@@ -87,7 +90,8 @@ function Plot({ steps, cursor, threshold, onCursor }: AlongProps & { threshold: 
         const axis = { stroke: faint, grid: { stroke: line, width: 1 }, ticks: { show: false }, font: "11px system-ui" };
         // A line through one frame is none: its point must show.
         // A number at the very end would be cut off.
-        const cut = (index: number) => ((index + 0.5) / steps.length) * (width - AXIS_PX) > width - AXIS_PX - NUMBER_PX;
+        const number_px = DIGIT_PX * (steps.at(-1)?.sequence.length ?? 0);
+        const cut = (index: number) => ((index + 0.5) / steps.length) * (width - AXIS_PX) > width - AXIS_PX - Math.max(NUMBER_PX, number_px / 2);
         const [none, few] = [{ show: false }, { show: steps.length === 1 }];
         const made = new uPlot({
             width, height: PLOT_PX,
@@ -96,7 +100,7 @@ function Plot({ steps, cursor, threshold, onCursor }: AlongProps & { threshold: 
             cursor: { drag: { x: false, y: false }, y: false },
             scales: { x: { time: false, range: [-0.5, Math.max(steps.length - 0.5, 0.5)] }, y: { range: [0, 1.05] } },
             axes: [
-                { ...axis, size: 22, values: (_, at) => at.map((index) => Number.isInteger(index) && !cut(index) ? String(steps[index]?.sequence ?? "") : "") },
+                { ...axis, size: 22, space: Math.max(NUMBERS_APART_PX, number_px + DIGIT_PX), values: (_, at) => at.map((index) => Number.isInteger(index) && !cut(index) ? String(steps[index]?.sequence ?? "") : "") },
                 { ...axis, size: AXIS_PX, values: (_, at) => at.map((value) => value.toFixed(1)) },
             ],
             series: [
@@ -234,7 +238,7 @@ function Strip({ session, pictures, steps, cursor, onCursor }: AlongProps & Pick
                         aria-label={words} title={words} onClick={() => onCursor(index)}
                     >
                         {pictures ? <Picture path={`${at(session)}/frames/${step.sequence}/image?size=thumbnail`} alt="" /> : <NoPicture />}
-                        <span>{step.sequence}</span>
+                        <span>{brief(step.sequence)}</span>
                     </button>
                 );
             })}
