@@ -58,8 +58,8 @@ export async function* said(body: ReadableStream<Uint8Array>): AsyncGenerator<Sa
 }
 
 export interface Listener {
-    /** Events come from here on: what was asked for before may be out of date. */
-    renew: () => void;
+    /** Events come from here on: what was asked for before may be out of date, and is if they are of another log. */
+    renew: (anotherLog: boolean) => void;
     hear: (event: MapEvent) => void;
     /** Whether events come, and if not, why. */
     live: (live: boolean, why: Error | null) => void;
@@ -73,6 +73,7 @@ const MISSED_MS = 60_000;
 /** Listens until `signal` says so, and while the page is looked at: connections are few. Goes on where it was cut off. */
 export async function follow(map: string, { renew, hear, live }: Listener, signal: AbortSignal) {
     let last: string | null = null;
+    let log: string | null = null;
     let pause = FIRST_PAUSE_MS;
     while (!signal.aborted) {
         const away = performance.now();
@@ -83,11 +84,15 @@ export async function follow(map: string, { renew, hear, live }: Listener, signa
             const headers: HeadersInit = last === null ? {} : { "last-event-id": last };
             const answer = await open(`${at(map)}/events`, headers, connection.signal);
             live(true, null);
-            if (last === null) renew();
             for await (const { event, id, data } of said(answer.body!)) {
                 pause = FIRST_PAUSE_MS;
                 if (event === "error") throw refusalOf(data);
-                if (id !== null) last = id;
+                if (id !== null) {
+                    // The first event has one. It names the log, and the position in it.
+                    const named = id.slice(0, id.lastIndexOf("-"));
+                    if (last === null) renew(log !== null && named !== log);
+                    [last, log] = [id, named];
+                }
                 hear(parse<MapEvent>(data));
             }
         } catch (error) {

@@ -16,6 +16,12 @@ export function useMay(ability: Caller["abilities"][number]): boolean {
     return useContext(Who)?.abilities.includes(ability) ?? false;
 }
 
+/**
+ * How many times what is below was found to be of another map, or of one with other numbers: what was asked for by numbers of
+ * places is asked for anew, and pictures are.
+ */
+export const Renewals = createContext(0);
+
 /** What is being asked for: nothing yet but what came before, an answer, or why there is none. */
 export type Asked<T> = { state: "asking"; before?: T } | { state: "there"; value: T } | { state: "refused"; error: Error };
 
@@ -27,9 +33,10 @@ function isAway(error: Error): boolean {
     return error instanceof Refusal && error.status === 0;
 }
 
-/** Asks again whenever `about` changes, and while the server does not answer; answers that come too late are thrown away. */
+/** Asks again whenever `about` changes or the map was renewed, and while the server does not answer; answers that come too late are thrown away. */
 export function useAsked<T>(ask: (signal: AbortSignal) => Promise<T>, about: readonly unknown[]): Asked<T> {
     const [asked, setAsked] = useState<Asked<T>>({ state: "asking" });
+    const renewals = useContext(Renewals);
     useEffect(() => {
         const gone = new AbortController();
         let timer = 0;
@@ -47,7 +54,7 @@ export function useAsked<T>(ask: (signal: AbortSignal) => Promise<T>, about: rea
             gone.abort();
             clearTimeout(timer);
         };
-    }, about);
+    }, [...about, renewals]);
     return asked;
 }
 
@@ -253,7 +260,7 @@ function loaded(path: string): Promise<string> {
     return coming;
 }
 
-/** Forgets all pictures: another token may see others. */
+/** Forgets all pictures: another token may see others, and a map that was renewed has others. */
 export function forgetPictures() {
     for (const url of kept.values()) url.then(URL.revokeObjectURL, () => {});
     kept.clear();
@@ -269,6 +276,7 @@ interface PictureProps {
 export function Picture({ path, alt, class: kind = "" }: PictureProps) {
     const [url, setUrl] = useState<string | null>(null);
     const [missing, setMissing] = useState<string | null>(null);
+    const renewals = useContext(Renewals);
     useEffect(() => {
         let gone = false;
         let timer = 0;
@@ -287,7 +295,7 @@ export function Picture({ path, alt, class: kind = "" }: PictureProps) {
             gone = true;
             clearTimeout(timer);
         };
-    }, [path]);
+    }, [path, renewals]);
     // Beside a text that says the same, a picture is nothing to those who hear the page.
     const heard = alt ? { role: "img" as const, "aria-label": alt } : { "aria-hidden": true };
     // What it says is of the style: buttons around it are called otherwise.

@@ -1,4 +1,4 @@
-// Numbers of frames that no double holds.
+// Places that get other numbers while they are looked at, and numbers of frames that no double holds.
 import assert from "node:assert/strict";
 import { readFileSync, readdirSync } from "node:fs";
 import { join } from "node:path";
@@ -31,6 +31,47 @@ const shows = (picture) => until("a picture", () => picture.evaluate((image) => 
     canvas.getContext("2d").drawImage(image, 0, 0, 16, 12);
     return canvas.toDataURL();
 }));
+
+test("places that get other numbers are shown as they are by then, with their labels and pictures", async () => {
+    await made("renewed");
+    await send("renewed", "early", 1, images.slice(0, 8));
+    await send("renewed", "late", 1, images.slice(40, 48));
+    const label = (place, label) => rest(`maps/renewed/places/${place}/label`, {
+        method: "PUT", headers: { "content-type": "application/json" }, body: JSON.stringify({ label, scope: "place" }),
+    });
+    await label(0, "the beginning");
+    const { page, close } = await open("#/maps/renewed?session=late&frame=1&place=0");
+    await page.getByTestId("live").filter({ hasText: "live" }).waitFor();
+    const place = page.getByRole("region", { name: "The place" });
+    await place.getByRole("button", { name: "Frame 1 of early" }).waitFor();
+    const written = place.getByLabel("Label");
+    await until("the label", async () => (await written.inputValue()) === "the beginning");
+    const pair = page.getByRole("region", { name: "The pair" });
+    const decided = async () => (await rest("maps/renewed/sessions/late/frames/1")).answer.place_number;
+    const before = await decided();
+    await pair.getByRole("definition").filter({ hasText: `place ${before}` }).first().waitFor();
+
+    await server.call(null, "session", "rm", "renewed", "early", "--yes");
+    await place.getByRole("button", { name: "Frame 1 of late" }).waitFor();
+    assert.equal(await place.getByRole("button", { name: /of early/ }).count(), 0);
+    await until("no label", async () => (await written.inputValue()) === "");
+    await written.fill("where it goes on");
+    await place.getByRole("button", { name: "Save" }).click();
+    await place.getByText("saved").waitFor();
+    assert.deepEqual((await rest("maps/renewed/labels")).labels, [{ place: "maps/renewed/places/0", label: "where it goes on" }]);
+    const after = await decided();
+    assert.notEqual(after, before);
+    await pair.getByRole("definition").filter({ hasText: `place ${after}` }).first().waitFor();
+
+    // A session that was deleted and driven anew has other pictures of the same names.
+    const picture = page.getByRole("group", { name: "Frames around the cursor" }).getByRole("button", { name: "Frame 1:" }).locator("img");
+    const early = await shows(picture);
+    await server.call(null, "session", "rm", "renewed", "late", "--yes");
+    await send("renewed", "late", 1, images.slice(90, 98));
+    await until("another picture", async () => (await shows(picture)) !== early);
+    await close();
+    await server.call(null, "map", "rm", "renewed", "--yes");
+});
 
 test("frames whose numbers no double holds are found, stepped through and linked to", async () => {
     const first = 2n ** 63n - 9n;

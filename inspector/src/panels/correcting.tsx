@@ -1,7 +1,7 @@
 // What people say of the pair: it is no closure, or it is one that the map has missed. Both can be undone.
 import { useState } from "preact/hooks";
 import { at, change, get, type FrameRecord, type Schemas } from "../rest";
-import { forgetPictures, moment, Question, useAsked, useMay } from "../parts";
+import { moment, Question, useAsked, useMay } from "../parts";
 
 type Correction = Schemas["Correction"];
 type Asked = "withdraw" | "confirm" | Correction;
@@ -24,14 +24,12 @@ export function Correcting({ record, shown, onCorrected }: CorrectingProps) {
     const closed = answer?.reason === "loop_closure" && !withdrawn;
     const closes = closed && shown === place;
     const missed = !closed && !withdrawn && corrections.length === 0 && place !== null && shown !== null && shown !== place;
-    const witness = useAsked((signal) => missed ? witnessOf(record, shown, map, signal) : Promise.resolve(null), [record.name, shown, missed]);
+    const witness = useAsked((signal) => missed ? witnessOf(record, shown, map, signal) : Promise.resolve(null), [record, shown, missed]);
     const matched = witness.state === "there" ? witness.value : null;
     const name = short(record.name);
     const common = {
         onClose: () => setAsked(null), onDone: () => {
             setAsked(null);
-            // It is written into the picture, too.
-            forgetPictures();
             onCorrected();
         },
     };

@@ -1,5 +1,5 @@
 // The drawing of a map, with robots in it: how it is coloured, what is picked, who is sent where.
-import { useEffect, useMemo, useRef, useState } from "preact/hooks";
+import { useContext, useEffect, useMemo, useState } from "preact/hooks";
 import { MOST_DRIVES, type MapData } from "../drawing/data";
 import { ring } from "../drawing/layout";
 import type { Size, View } from "../drawing/paint";
@@ -9,7 +9,7 @@ import {
 } from "../drawing/robots";
 import { asDriven, kindOf, type Scene } from "../drawing/scene";
 import type { Colour, Go, Link, Shape } from "../link";
-import { count, plural, Refused } from "../parts";
+import { count, plural, Refused, Renewals } from "../parts";
 import type { Schemas } from "../rest";
 import { MapCanvas } from "./canvas";
 import { ColourKeys } from "./keys";
@@ -23,11 +23,13 @@ function routeOf(scene: Scene, { part, waypoints }: Schemas["Route"]): Spot[] {
 
 /** Where robots stand in the drawing; one that says nothing new of it, where it did last. */
 function useStanding(scene: Scene, { robots, streaming, open }: Live): Standing[] {
-    const last = useRef(new Map<string, Heard>());
+    // What was said of places that have other numbers by now is said of none.
+    const renewals = useContext(Renewals);
+    const last = useMemo(() => new Map<string, Heard>(), [renewals]);
     const stand = (name: string, doing: Doing, heard: Heard): Standing[] => {
         const here = standing(scene, name, doing, heard);
-        if (here) last.current.set(name, heard);
-        const before = last.current.get(name);
+        if (here) last.set(name, heard);
+        const before = last.get(name);
         const found = here ?? (before && standing(scene, name, doing, before)) ?? newestPlace(scene, name, doing, heard.place);
         return found ? [found] : [];
     };

@@ -2,7 +2,7 @@
 import { useEffect, useRef, useState } from "preact/hooks";
 import { load, type MapData } from "../drawing/data";
 import { follow } from "../events";
-import { usePolled } from "../parts";
+import { forgetPictures, usePolled } from "../parts";
 import { at, get, short, streams, type FrameRecord, type OpenStream, type WayMap } from "../rest";
 import { useRobots, type Led } from "./led";
 
@@ -38,8 +38,8 @@ export interface Live {
 interface Hearing {
     /** Frames that were decided, oldest first. */
     frames: (frames: FrameRecord[]) => void;
-    /** What was asked for may be out of date. */
-    renew: () => void;
+    /** What was asked for may be out of date, and is if the map has another log by now. */
+    renew: (anotherLog: boolean) => void;
 }
 
 /** What happens in a map for as long as this is shown. Holds the newest frame of a session, and those not drawn yet. */
@@ -63,7 +63,14 @@ export function useLive(map: string, hearing: Hearing): Live {
         };
         const fade = window.setInterval(() => setStreaming((known) => known.length ? newest(known, []) : known), STREAMS_MS / 4);
         void follow(map, {
-            renew: () => to.current.renew(),
+            renew: (anotherLog) => {
+                // Frames that were heard of before tell numbers of places that mean others by now.
+                if (anotherLog) {
+                    waiting = [];
+                    setStreaming([]);
+                }
+                to.current.renew(anotherLog);
+            },
             live: (live, error) => setLive({ live, error }),
             hear: ({ frame, navigation }) => {
                 if (navigation) to.current.hear(navigation);
@@ -109,12 +116,15 @@ const REST_TIMES = 5;
 const edition = ({ create_time_ns, places, links, sessions, frames, loop_closures, withdrawn_loop_closures }: WayMap) =>
     JSON.stringify([create_time_ns, places, links, sessions, frames, loop_closures, withdrawn_loop_closures]);
 
-/** A map's data, and what has them asked for anew behind what is shown. */
+/** A map's data, and what has them asked for anew behind what is shown. They are stale from a renewal until they are here. */
 export function useFresh(given: MapData) {
     const [data, setData] = useState(given);
+    const [renewals, setRenewals] = useState(0);
     const latest = useRef(data);
     latest.current = data;
-    const state = useRef({ busy: false, wanted: false, rest_ms: 0, edits: 0, timer: 0, gone: new AbortController() });
+    // What is shown was asked for after so many renewals.
+    const [shown, setShown] = useState(0);
+    const state = useRef({ renewals: 0, shown: 0, busy: false, wanted: false, rest_ms: 0, edits: 0, timer: 0, gone: new AbortController() });
     const refresh = () => {
         const now = state.current;
         now.wanted = true;
@@ -122,11 +132,12 @@ export function useFresh(given: MapData) {
         now.busy = true;
         now.timer = window.setTimeout(async () => {
             now.wanted = false;
-            const [began, edits] = [performance.now(), now.edits];
+            const [began, edits, renewals] = [performance.now(), now.edits, now.renewals];
             try {
                 const next = await load(short(given.map.name), now.gone.signal);
                 // A label that was written meanwhile is newer than what was read.
                 setData((before) => now.edits === edits ? next : { ...next, labels: before.labels });
+                setShown(now.shown = renewals);
             } catch {
                 // What is shown stays; the next frame asks again.
             }
@@ -135,13 +146,16 @@ export function useFresh(given: MapData) {
             if (now.wanted && !now.gone.signal.aborted) refresh();
         }, now.rest_ms);
     };
-    /** Whether the map is another by now; if so, it is asked for anew. */
-    const renew = async () => {
-        const { gone } = state.current;
-        const now = await get<WayMap>(at(given.map.name), gone.signal).catch(() => null);
-        const another = now !== null && !gone.signal.aborted && edition(now) !== edition(latest.current.map);
-        if (another) refresh();
-        return another;
+    /** Where the map is another by now, it is asked for anew, and so is all that is shown of it. */
+    const renew = async (anotherLog: boolean) => {
+        const now = state.current;
+        if (!anotherLog) {
+            const map = await get<WayMap>(at(given.map.name), now.gone.signal).catch(() => null);
+            if (map === null || now.gone.signal.aborted || edition(map) === edition(latest.current.map)) return;
+        }
+        forgetPictures();
+        setRenewals(++now.renewals);
+        refresh();
     };
     useEffect(() => {
         const now = state.current;
@@ -151,8 +165,10 @@ export function useFresh(given: MapData) {
         };
     }, []);
     const setLabels = (labels: MapData["labels"]) => {
+        // They were written by numbers that mean other places by now: the server knows which.
+        if (state.current.shown !== state.current.renewals) return refresh();
         state.current.edits++;
         setData((before) => ({ ...before, labels }));
     };
-    return { data, refresh, renew, setLabels };
+    return { data, renewals, stale: shown !== renewals, refresh, renew, setLabels };
 }

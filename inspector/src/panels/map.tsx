@@ -5,7 +5,7 @@ import { sceneOf } from "../drawing/scene";
 import type { Go, Link } from "../link";
 import { at, get, short, type Place as PlaceRecord } from "../rest";
 import { compare, type Sequence } from "../sequence";
-import { keepsPictures, plural, Shown, useAsked, useNarrow } from "../parts";
+import { forgetPictures, keepsPictures, plural, Renewals, Shown, useAsked, useNarrow } from "../parts";
 import { Drawing } from "./drawing";
 import { Evidence } from "./evidence";
 import { Matrix } from "./matrix";
@@ -26,28 +26,32 @@ interface MapPageProps {
 export function MapPage({ link, go }: MapPageProps) {
     const [asks, setAsks] = useState(0);
     const asked = useAsked((signal) => load(link.map, signal), [link.map, asks]);
+    const again = () => {
+        // Pictures show what was said of a frame, and the map may be another by now.
+        forgetPictures();
+        setAsks(asks + 1);
+    };
     return (
         <main class="map" id="content">
             <Shown asked={asked} what={`the map ${link.map}`}>
-                {(data) => <Loaded key={`${data.map.name} ${asks}`} given={data} link={link} go={go} onAgain={() => setAsks(asks + 1)} />}
+                {(data) => <Loaded key={`${data.map.name} ${asks}`} given={data} link={link} go={go} onAgain={again} />}
             </Shown>
         </main>
     );
 }
 
 function Loaded({ given, link, go, onAgain }: MapPageProps & { given: MapData; onAgain: () => void }) {
-    const { data, refresh, renew, setLabels } = useFresh(given);
-    const [lists, setLists] = useState(0);
+    const { data, renewals, stale, refresh, renew, setLabels } = useFresh(given);
     const { map, sessions } = data;
     const session = sessions.find(({ name }) => short(name) === link.session) ?? sessions[0] ?? null;
-    const { steps, whole, more, error, hear } = useSteps(session, link.frame, lists);
+    const { steps, whole, more, error, hear } = useSteps(session, link.frame, renewals);
     const cursor = cursorOf(steps, link.frame);
     const coming = (!whole || more[1]) && link.frame !== null && isAhead(steps, link.frame);
     const step = coming ? null : (steps[cursor] ?? null);
     const place = link.place ?? step?.place ?? null;
     const strayed = strayedTo(link, session && short(session.name), coming ? null : step);
     const heard = useLive(map.name, {
-        renew: () => void renew().then((another) => another && setLists((lists) => lists + 1)),
+        renew: (anotherLog) => void renew(anotherLog),
         frames: (frames) => {
             hear(frames);
             refresh();
@@ -103,7 +107,7 @@ function Loaded({ given, link, go, onAgain }: MapPageProps & { given: MapData; o
     }, [led]);
     useKeys((by) => onCursor(latest.current + by), onCursor);
     const robots = <Robots heard={heard} place={place} onPlace={onPlace} onFrame={onFrame} />;
-    return <>
+    return <Renewals.Provider value={renewals}>
         <div class="title">
             <h1>{short(map.name)}</h1>
             <p class="quiet">
@@ -134,12 +138,12 @@ function Loaded({ given, link, go, onAgain }: MapPageProps & { given: MapData; o
             </div>
             <div class="narrow">
                 {session && step && <Pair session={session.name} step={step} pictures={keepsPictures(map)} beside={link.beside} large={link.large} follow={link.follow} onLarge={(large) => go({ large })} onPlace={onPlace} onCorrected={onAgain} />}
-                {place !== null && <Place data={data} number={place} onPlace={onPlace} onFrame={onFrame} onLabels={setLabels} />}
+                {place !== null && <Place data={data} stale={stale} number={place} onPlace={onPlace} onFrame={onFrame} onLabels={setLabels} />}
                 {!narrow && robots}
                 <Evidence data={data} metric={scene.kind === "metric"} onPlace={onPlace} onFrame={onFrame} />
             </div>
         </div>
-    </>;
+    </Renewals.Provider>;
 }
 
 /** What a link asks for that is not there (any more), and what is shown in its place. */

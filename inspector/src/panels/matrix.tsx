@@ -199,7 +199,7 @@ function Across({ matrix, cell }: { matrix: MatchMatrix; cell: Cell }) {
     const asked = useAsked((signal) => Promise.all(places.map(async ([map, number]) => {
         const { frames: [frame] } = await get<Place>(at(`maps/${map}/places/${number}`), signal);
         return { map, number, frame };
-    })), [...places[0], ...places[1]]);
+    })), [...places[0], ...places[1], matrix]);
     return <Shown asked={asked} what="the two places">{([one, other]) => <TwoPlaces one={one!} other={other!} />}</Shown>;
 }
 

@@ -1,25 +1,28 @@
 // A place: what it looked like, who was there, where its links lead, and its label, which can be changed.
-import { useEffect, useState } from "preact/hooks";
+import { useContext, useEffect, useState } from "preact/hooks";
 import type { MapData } from "../drawing/data";
 import { pose } from "../drawing/geometry";
 import { at, change, get, short, type Place as PlaceRecord, type Schemas } from "../rest";
 import { brief, type Sequence } from "../sequence";
-import { fixed, keepsPictures, moment, NoPicture, Picture, plural, Refused, Shown, useAsked, useMay } from "../parts";
+import { fixed, keepsPictures, moment, NoPicture, Picture, plural, Refused, Renewals, Shown, useAsked, useMay } from "../parts";
 import { PlaceLink } from "./pair";
 
 const MOST_FRAMES = 24;
 
 interface PlaceProps {
     data: MapData;
+    /** Whether the map is another by now: its labels are those of places that had the numbers before. */
+    stale: boolean;
     number: number;
     onPlace: (place: number) => void;
     onFrame: (session: string, sequence: Sequence) => void;
     onLabels: (labels: Map<number, string>) => void;
 }
 
-export function Place({ data, number, onPlace, onFrame, onLabels }: PlaceProps) {
+export function Place({ data, stale, number, onPlace, onFrame, onLabels }: PlaceProps) {
     const name = `${data.map.name}/places/${number}`;
     const asked = useAsked((signal) => get<PlaceRecord>(at(name), signal), [name]);
+    const renewals = useContext(Renewals);
     const mayLabel = useMay("navigate");
     return (
         <section class="panel place" aria-label="The place">
@@ -27,7 +30,7 @@ export function Place({ data, number, onPlace, onFrame, onLabels }: PlaceProps) 
             <Shown asked={asked} what="the place">
                 {(place) => <About place={place} pictures={keepsPictures(data.map)} onPlace={onPlace} onFrame={onFrame} />}
             </Shown>
-            {mayLabel && <Label key={name} data={data} number={number} onLabels={onLabels} />}
+            {mayLabel && !stale && <Label key={`${name} ${renewals}`} data={data} number={number} onLabels={onLabels} />}
         </section>
     );
 }
