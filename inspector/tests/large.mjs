@@ -8,8 +8,12 @@ import { grown, until } from "./server.mjs";
 /** More than are drawn at once; LARGE_PLACES for figures, as of PERFORMANCE.md. */
 const PLACES = Number(process.env.LARGE_PLACES ?? 10_400);
 
+let server;
+/** One server for both tests: nobody else may open its data meanwhile. */
+const served = async () => (server ??= await grown(PLACES));
+
 test("a large map is thinned, is drawn closer where one zooms in, and is stepped through in windows", async (context) => {
-    const large = await grown(PLACES);
+    const large = await served();
     const { page, close } = await open("#/maps/load", { url: large.url });
     const began = Date.now();
     await page.reload();
@@ -88,3 +92,40 @@ test("a large map is thinned, is drawn closer where one zooms in, and is stepped
     assert.ok(wide <= 0, `a large map is ${wide} px wider than a phone`);
     await phone.close();
 }, { timeout: 30 * PATIENCE_MS });
+
+test("of a large map that has lost places nothing stays of those, though they were drawn closer", async () => {
+    const large = await served();
+    const { page, close } = await open("#/maps", { url: large.url });
+    // Nothing is taken from what was grown: the page is told of fewer places, as by a server that has removed a session.
+    const left = 9000;
+    let removed = false;
+    const number = ({ name }) => Number(name.split("/").at(-1));
+    await page.route(/\/v1\/maps\/load(\?|$)/, async (route) => {
+        const answer = await route.fetch();
+        const map = await answer.json();
+        return route.fulfill({ response: answer, json: removed ? { ...map, places: left } : map });
+    });
+    await page.route(/\/v1\/maps\/load\/places\?/, async (route) => {
+        const answer = await route.fetch();
+        const listed = await answer.json();
+        return route.fulfill({ response: answer, json: removed ? { ...listed, places: listed.places.filter((place) => number(place) < left) } : listed });
+    });
+    const event = (name, id, data) => `event: ${name}\nid: ${id}\ndata: ${JSON.stringify(data)}\n\n`;
+    const other = event("error", "", { status: 409, error: { code: "aborted", message: "sessions were removed" } }).replace("id: \n", "");
+    await page.route("**/v1/maps/load/events", (route) => {
+        const goesOn = "last-event-id" in route.request().headers();
+        const log = removed ? "other" : "first";
+        return route.fulfill({ contentType: "text/event-stream", body: removed && goesOn ? other : event("started", `${log}-0`, {}) });
+    });
+    const { pose } = await rest(`maps/load/places/${left + 700}`, { url: large.url });
+    const { x, y } = pose.pose.position_m;
+    await page.goto(`${large.url}/#/maps/load?view=${x},${y},30`);
+    const canvas = page.locator(".drawing canvas");
+    const drawn = async () => Number(await canvas.getAttribute("data-drawn"));
+    const { places } = await rest("maps/load", { url: large.url });
+    const thinned = Math.ceil(places / Math.ceil(places / 10_000));
+    await until("more places", async () => (await drawn()) > thinned);
+    removed = true;
+    await until("what is left", async () => (await drawn()) === left);
+    await close();
+}, { timeout: 10 * PATIENCE_MS });

@@ -2,7 +2,8 @@
 import { useEffect, useMemo, useRef, useState } from "preact/hooks";
 import { closer as ask, withMore, type MapData, type Stretch } from "../drawing/data";
 import { toScreen, type Size, type View } from "../drawing/paint";
-import type { Scene } from "../drawing/scene";
+import { sceneOf, type Scene } from "../drawing/scene";
+import type { Shape } from "../link";
 import type { Place } from "../rest";
 
 /** Most places that are drawn of what is seen. */
@@ -10,26 +11,38 @@ const MOST_SEEN = 6000;
 /** Less than this many times finer is not worth the wait. */
 const FINER = 1.5;
 
-/** The map with what is seen of it in more detail. */
-export function useCloser(data: MapData) {
-    const [more, setMore] = useState<Place[]>([]);
+const NONE: Place[] = [];
+
+/** The map with what is seen of it in more detail, and its drawing. */
+export function useCloser(data: MapData, renewals: number, shape: Shape | null) {
+    const [{ places, of }, setMore] = useState({ places: NONE, of: renewals });
+    // Places of before a renewal may be gone or have other numbers, and of a map that is here as a whole there are no more.
+    const more = of === renewals && data.every > 1 ? places : NONE;
     const closer = useMemo(() => more.length > 0 ? withMore(data, more) : data, [data, more]);
+    const scene = useMemo(() => sceneOf(closer, shape), [closer, shape]);
     const gone = useRef(new AbortController());
     useEffect(() => () => gone.current.abort(), []);
-    const onSeen = (scene: Scene, view: View, size: Size) => {
+    const last = useRef<[View, Size] | null>(null);
+    const look = (view: View, size: Size): boolean => {
+        last.current = [view, size];
         gone.current.abort();
-        if (data.every === 1) return;
+        if (data.every === 1) return false;
         const { count, stretches } = seen(scene, data, view, size);
         const every = Math.max(Math.ceil((count * data.every) / MOST_SEEN), 1);
-        if (stretches.length === 0 || every * FINER > data.every) return;
+        if (stretches.length === 0 || every * FINER > data.every) return false;
         const asking = gone.current = new AbortController();
         ask(data.map.name, every, stretches, asking.signal).then(
-            (places) => asking.signal.aborted || setMore(places),
+            (places) => asking.signal.aborted || setMore({ places, of: renewals }),
             // What is shown stays; another look asks again.
             () => {},
         );
+        return true;
     };
-    return { closer, onSeen };
+    // Of a map that is another by now, or has grown, what is seen is another, too.
+    useEffect(() => {
+        if (last.current && !look(...last.current)) setMore({ places: NONE, of: renewals });
+    }, [data]);
+    return { closer, scene, onSeen: (view: View, size: Size) => void look(view, size) };
 }
 
 /** How many of the thinned places are seen, and which stretches of the map they lie in. */

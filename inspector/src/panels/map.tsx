@@ -1,7 +1,6 @@
 // One map: its drawing, its time, the frame under the cursor and the place that it shows. One cursor drives all.
-import { useEffect, useLayoutEffect, useMemo, useRef, useState } from "preact/hooks";
+import { useEffect, useLayoutEffect, useRef, useState } from "preact/hooks";
 import { load, type MapData } from "../drawing/data";
-import { sceneOf } from "../drawing/scene";
 import type { Go, Link } from "../link";
 import { at, get, short, type Place as PlaceRecord } from "../rest";
 import { compare, type Sequence } from "../sequence";
@@ -63,8 +62,7 @@ function Loaded({ given, link, go, onAgain }: MapPageProps & { given: MapData; o
         if (newest && known) go({ session: short(newest.session), frame: short(newest.frame.name), place: null });
     }, [newest?.frame.name, known]);
     const narrow = useNarrow();
-    const { closer, onSeen } = useCloser(data);
-    const scene = useMemo(() => sceneOf(closer, link.shape), [closer, link.shape]);
+    const { closer, scene, onSeen } = useCloser(data, renewals, link.shape);
 
     // Keys may come faster than the page is drawn: each goes on from the one before.
     const latest = useRef(cursor);
@@ -120,7 +118,7 @@ function Loaded({ given, link, go, onAgain }: MapPageProps & { given: MapData; o
         <Leading robots={heard.robots} onPlace={onPlace} />
         <div class="columns">
             <div class="broad">
-                <Drawing data={data} scene={scene} link={link} go={go} place={place} heard={heard} narrow={narrow} onPlace={onPlace} onSeen={(view, size) => onSeen(scene, view, size)} />
+                <Drawing data={data} scene={scene} link={link} go={go} place={place} heard={heard} narrow={narrow} onPlace={onPlace} onSeen={onSeen} />
                 {strayed && <p class="refused" role="alert">{strayed}</p>}
                 {narrow && robots}
                 {session && (
