@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import json
-import os
 import re
-import shutil
-import signal
 import socket
 import subprocess
 import sys
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -18,13 +14,11 @@ from typing import Any
 import pytest
 import yaml
 
-import waypost
-
 DOCKER = Path(__file__).resolve().parent
 REPOSITORY = DOCKER.parent
 sys.path.insert(0, str(REPOSITORY / "client" / "python" / "tests"))
 
-from conftest import Server, binary, environment, eventually  # noqa: E402
+from conftest import Server, binary, environment  # noqa: E402
 
 Instruction = tuple[str, str]
 
@@ -261,125 +255,6 @@ def test_the_manifests_are_of_the_same_image_and_settings() -> None:
     assert [str(port["port"]) for port in service["spec"]["ports"]] == exposed.split()
     [volume] = arguments("VOLUME")
     assert container["volumeMounts"] == [{"name": "scratch", "mountPath": volume}]
-
-
-class Machines:
-    """Three machines of PostgreSQL, as `postgres-machine` makes them, at addresses of loopback."""
-
-    NAMES = ("127.0.0.1", "127.0.0.2", "127.0.0.3")
-
-    def __init__(self, folder: Path, programs: Path) -> None:
-        with socket.create_server(("127.0.0.1", 0)) as listener:
-            self.port = listener.getsockname()[1]
-        self.folder, self.programs = folder, programs
-        # PostgreSQL's user may not look into this repository.
-        self.script = shutil.copy(DOCKER / "postgres-machine", folder)
-        # PostgreSQL does not run as root.
-        self.user = {"user": "postgres", "group": "postgres", "extra_groups": []} if os.getuid() == 0 else {}
-        self.running = {name: self.start(name) for name in self.NAMES}
-
-    def environment(self, name: str) -> dict[str, str]:
-        home = self.folder / name
-        if not home.is_dir():
-            home.mkdir()
-            if self.user:
-                shutil.chown(home, "postgres", "postgres")
-        return {
-            "PATH": f"{self.programs}:{os.environ['PATH']}",
-            "MACHINES": " ".join(self.NAMES),
-            "MACHINE": name,
-            "PASSWORD": "it's",
-            "PGDATA": str(home / "data"),
-            "LISTEN": name,
-            "SOCKETS": str(home),
-            "PGPORT": str(self.port),
-        }
-
-    def start(self, name: str) -> subprocess.Popen[bytes]:
-        env = self.environment(name)
-        with (self.folder / f"{name}.log").open("ab") as log:
-            return subprocess.Popen(
-                [self.script], env=env, stderr=log, cwd=env["SOCKETS"], start_new_session=True, **self.user
-            )
-
-    def run(self, name: str, *command: str | Path) -> str:
-        env = self.environment(name)
-        done = subprocess.run(
-            command, env=env, cwd=env["SOCKETS"], stdout=subprocess.PIPE, text=True, timeout=60, **self.user
-        )
-        assert done.returncode == 0, f"{command}: {done.stdout}"
-        return done.stdout.strip()
-
-    def ask(self, name: str, statement: str) -> str:
-        """What a machine's own administrator hears."""
-        where = ["--host", self.environment(name)["SOCKETS"], "--port", str(self.port)]
-        return self.run(name, "psql", "--no-psqlrc", "--username=postgres", *where, "-Atqc", statement)
-
-    def url(self) -> str:
-        hosts = ",".join(f"{name}:{self.port}" for name in self.NAMES)
-        return f"postgres://waypost:it%27s@{hosts}/maps"
-
-    def stop(self) -> None:
-        for machine in self.running.values():
-            machine.send_signal(signal.SIGQUIT)
-        for machine in self.running.values():
-            try:
-                machine.wait(timeout=10)
-            except subprocess.TimeoutExpired:
-                # One that waits for another to copy has no PostgreSQL that would listen.
-                os.killpg(machine.pid, signal.SIGKILL)
-                machine.wait()
-
-
-@pytest.fixture
-def machines() -> Iterator[Machines]:
-    programs = sorted(Path("/usr/lib/postgresql").glob("*/bin"), key=lambda path: int(path.parent.name))
-    if not programs:
-        pytest.skip("PostgreSQL is not installed: scripts/setup postgres")
-    # Where its own user may go.
-    with tempfile.TemporaryDirectory() as folder:
-        Path(folder).chmod(0o711)
-        machines = Machines(Path(folder), programs[-1])
-        yield machines
-        machines.stop()
-
-
-def test_machines_follow_the_first_and_one_takes_over(machines: Machines, tmp_path: Path) -> None:
-    def standbys() -> list[tuple[str, str]]:
-        try:
-            return [(standby.name, standby.sync_state) for standby in client.cluster().standbys]
-        except waypost.WaypostError:
-            return []
-
-    first, second, third = machines.NAMES
-    server = Server(tmp_path / "scratch", flags=("--storage", machines.url()))
-    eventually(lambda: (Path(machines.environment(third)["PGDATA"]) / "PG_VERSION").is_file())
-    server.start()
-    try:
-        with waypost.client.lazy(server.address) as client:
-            eventually(lambda: standbys() == [(second, "quorum"), (third, "quorum")])
-            assert not client.cluster().warnings
-            eventually(lambda: all(standby.HasField("lag_bytes") for standby in client.cluster().standbys))
-            client.create_map("before", "shipped")
-            machines.running[first].kill()
-            machines.running[first].wait()
-            received = "SELECT pg_last_wal_receive_lsn() - '0/0'"
-            other, chosen = sorted((second, third), key=lambda name: int(machines.ask(name, received)))
-            machines.run(chosen, "pg_ctl", "promote", "--silent")
-            machines.run(other, machines.script, "follow", chosen)
-            eventually(lambda: standbys() == [(other, "quorum")])
-            client.create_map("after", "shipped")
-            # The first comes back as a copy.
-            machines.run(first, machines.script, "copy", chosen)
-            machines.running[first] = machines.start(first)
-            eventually(lambda: standbys() == [(first, "quorum"), (other, "quorum")])
-            assert [found.name for found in client.maps()] == ["maps/after", "maps/before"]
-            # Whoever may not see it says so.
-            machines.ask(chosen, "REVOKE pg_monitor FROM waypost")
-            eventually(lambda: standbys() == [(first, "unknown"), (other, "unknown")])
-            assert not any(standby.HasField("lag_bytes") for standby in client.cluster().standbys)
-    finally:
-        server.kill()
 
 
 def test_each_alert_says_what_it_means() -> None:
