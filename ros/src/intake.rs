@@ -129,7 +129,7 @@ impl Intake {
         self.join(|joining, now_ns| joining.add_image(now_ns, frame));
     }
 
-    /// What is open has stamps of another time. It ends, and the next begins.
+    /// A new session begins, also for odometry: where the robot was says nothing of where it is.
     fn clock_was_set_back(&self, topic: &str) {
         let mut reset = self.reset.lock().unwrap_or_else(PoisonError::into_inner);
         if reset.as_ref().is_some_and(|(at, by)| by != topic && at.elapsed() < ONE_RESET) {
@@ -139,10 +139,8 @@ impl Intake {
         tracing::warn!(
             "the robot's clock was set back, by the stamps of {topic}: a new session begins, and a goal has to be given again"
         );
-        self.plans.send_modify(|plan| {
-            plan.turn += 1;
-            plan.clock += 1;
-        });
+        self.plans.send_modify(Plan::clock_was_set_back);
+        self.shared.lock().placed = None;
     }
 
     fn bad_image(&self, problem: String) {

@@ -14,7 +14,7 @@ pub(crate) struct Plan {
     pub(crate) is_wanted: bool,
     /// Rises whenever the session that is open is to end: then, if one is wanted, the next begins.
     pub(crate) turn: u64,
-    /// Rises whenever the robot's clock was set back: what knows its stamps begins anew.
+    /// Rises whenever the robot's clock was set back: what knows its stamps or its odometry begins anew.
     pub(crate) clock: u64,
 }
 
@@ -27,5 +27,40 @@ impl Plan {
     /// The map to open a session of, if one is wanted.
     pub(crate) fn wanted_map(&self) -> Option<&str> {
         self.map.as_deref().filter(|_| self.is_wanted)
+    }
+
+    /// What is open has stamps of another time. It ends, and the next begins.
+    pub(crate) fn clock_was_set_back(&mut self) {
+        self.turn += 1;
+        self.clock += 1;
+    }
+
+    /// Whether odometry that another plan's session placed on its map is placed there still.
+    pub(crate) fn goes_on_from(&self, before: &Self) -> bool {
+        // A simulation that begins again has the robot elsewhere, and its odometry at 0.
+        (&self.map, self.clock) == (&before.map, before.clock)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn where_the_robot_is_holds_for_one_map_and_until_its_clock_is_set_back() {
+        let hall = Plan {
+            map: Some("hall".to_owned()),
+            next_session: String::new(),
+            mode: Mode::Localize,
+            is_wanted: true,
+            turn: 4,
+            clock: 0,
+        };
+        assert!(Plan { turn: 5, mode: Mode::Map, ..hall.clone() }.goes_on_from(&hall));
+        assert!(!Plan { map: Some("other".to_owned()), ..hall.clone() }.goes_on_from(&hall));
+        let mut again = hall.clone();
+        again.clock_was_set_back();
+        assert_eq!(again.turn, 5);
+        assert!(!again.goes_on_from(&hall));
     }
 }

@@ -103,7 +103,9 @@ impl Streaming {
             self.unanswered.clone(),
             stopping.clone(),
         ));
-        let taken = self.take(&mut outcomes, stopping).await;
+        // Until it has ended it hears answers to frames from before the robot's clock was set back.
+        let is_of_now = || plans.borrow().clock == plan.clock;
+        let taken = self.take(&mut outcomes, stopping, is_of_now).await;
         sending.abort();
         Ok(taken?)
     }
@@ -127,6 +129,7 @@ impl Streaming {
         &mut self,
         outcomes: &mut Outcomes,
         mut stopping: watch::Receiver<bool>,
+        is_of_now: impl Fn() -> bool,
     ) -> Result<(), Error> {
         loop {
             let outcome = tokio::select! {
@@ -134,12 +137,12 @@ impl Streaming {
                 _ = stopping.wait_for(|stops| *stops) => break,
             };
             let Some(outcome) = outcome else { return Ok(()) };
-            self.outcome(outcome);
+            self.outcome(outcome, is_of_now());
         }
         let unanswered = self.unanswered.clone();
         let last = tokio::time::timeout(LAST_ANSWERS, async {
             while let Some(outcome) = outcomes.next().await? {
-                self.outcome(outcome);
+                self.outcome(outcome, is_of_now());
             }
             Ok(())
         });
@@ -152,16 +155,16 @@ impl Streaming {
         })
     }
 
-    /// What was known of the robot was of another map.
-    pub(crate) fn another_map(&mut self) {
+    /// What was known of the robot was of another map, or of odometry before the robot's clock was set back.
+    pub(crate) fn begin_anew(&mut self) {
         self.shared.lock().placed = None;
         self.telling.begin_anew();
     }
 
-    fn outcome(&mut self, outcome: FrameOutcome) {
+    fn outcome(&mut self, outcome: FrameOutcome, is_of_now: bool) {
         let stamp_ns = self.answered(outcome.sequence());
         match outcome {
-            FrameOutcome::Answer(answer) => self.answer(&answer, stamp_ns),
+            FrameOutcome::Answer(answer) => self.answer(&answer, stamp_ns, is_of_now),
             FrameOutcome::Refusal(refusal) => {
                 let message = refusal.status.map(|status| status.message).unwrap_or_default();
                 let mut state = self.shared.lock();
@@ -190,9 +193,9 @@ impl Streaming {
         found
     }
 
-    fn answer(&mut self, answer: &v1::FrameAnswer, stamp_ns: Option<i64>) {
+    fn answer(&mut self, answer: &v1::FrameAnswer, stamp_ns: Option<i64>, is_of_now: bool) {
         self.sureness.answered(answer);
-        let placed = answer.map_pose.as_ref().and_then(placed);
+        let placed = answer.map_pose.as_ref().filter(|_| is_of_now).and_then(placed);
         let mut state = self.shared.lock();
         state.frames.answered += 1;
         state.frames.last_heard = Some(Instant::now());

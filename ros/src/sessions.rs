@@ -38,12 +38,12 @@ impl Sessions {
     /// # Errors
     /// What the server refuses for good, as a map that it does not have. Where services choose, they tell it, and wait.
     pub(crate) async fn run(mut self, settings: &Settings) -> Result<(), SessionError> {
-        let mut map = None;
+        let mut before: Option<Plan> = None;
         while let Some(plan) = self.wanted().await {
-            if map.is_some() && map != plan.map {
-                self.streaming.another_map();
+            if before.is_some_and(|before| !plan.goes_on_from(&before)) {
+                self.streaming.begin_anew();
             }
-            map.clone_from(&plan.map);
+            before = Some(plan.clone());
             let ended = self.session(settings, &plan).await;
             self.streaming.shared.lock().session = None;
             let is_next_planned = ended.is_ok() && self.plans.borrow().turn != plan.turn;

@@ -162,10 +162,13 @@ def test_a_clock_that_is_set_back_begins_a_new_session(stage: Stage) -> None:
     robot, told, bridge = with_wheels(stage)
     drive(robot, range(101, 111))
     until(lambda: told.count("server", "frames answered") == 10, what=f"{told()}")
+    until(lambda: told.level("map to odom") == 0)
     # A simulation that begins again, twice. Three stamps show that it has; those images are of no session.
     for run in (2, 3):
         drive(robot, range(1, 4))
         until(lambda run=run: bridge.said().count("is open") == run, what=bridge.said())
+        # Odometry begins anew with the clock: the last answers placed another.
+        until(lambda: "does not have the robot yet" in told.message("map to odom"))
         drive(robot, range(4, 14))
         until(lambda run=run: told.count("server", "frames answered") == 10 * run, what=f"{told()}")
     assert bridge.said().count("the robot's clock was set back") == 2
