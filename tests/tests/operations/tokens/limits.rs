@@ -9,8 +9,8 @@ use waypost_client::{Code, SessionOptions, v1};
 use super::callable::{FOR_ADMINS, ROUTES_FOR_ADMINS, call_with, guarded_routes, methods};
 use super::{Guarded, assert_let_in};
 use crate::harness::{
-    Answer, answers, as_words, assert_status, channel, followed, frame, http, in_time, map_request, refused,
-    session_options,
+    Answer, answers, as_words, assert_status, channel, followed, frame, http, images, in_time, map_request,
+    refused, session_options,
 };
 
 /// Every method that names a map in the first field of its request, and how.
@@ -309,6 +309,23 @@ async fn lists_show_what_a_token_reaches() {
     limited.export_map("hall", &mut snapshot).await.unwrap();
     let (code, message) = refused(limited.import_map("", std::io::Cursor::new(snapshot)).await);
     assert_status("import", (code, &message), Code::InvalidArgument, "name the map that it is to be");
+    guarded.server.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_training_is_shown_to_a_token_for_some_maps_and_not_cancelled() {
+    let guarded = Guarded::start().await;
+    let admin = guarded.client(&guarded.admin).await;
+    let extractor = Some("orb features=100 width=320".to_owned());
+    let settings = v1::TrainModelSettings { extractor, words: 20, seed: 7, ..Default::default() };
+    let training = futures::stream::iter(images().iter().take(8).cloned().map(Ok));
+    let job = in_time(admin.train_model(settings, training)).await.unwrap();
+    let (_, secret) = admin.create_limited_token(of_maps("floor2", Role::Admin, &["drive"])).await.unwrap();
+    let limited = guarded.client(&secret).await;
+    assert_eq!(limited.job(&job.name).await.unwrap().name, job.name);
+    let (code, message) = refused(limited.cancel_job(&job.name).await);
+    assert_status("cancel_job", (code, &message), Code::PermissionDenied, "this is about the whole server");
+    admin.cancel_job(&job.name).await.unwrap();
     guarded.server.stop().await;
 }
 
