@@ -205,9 +205,20 @@ impl Frames {
             frame_view(row, corrections, &known)
         };
         let views: Result<Vec<_>, ServiceError> = frames.into_iter().map(view).collect();
-        if views.is_err() && self.open_maps.row(&map.name).await?.id != map.id {
-            // It was deleted since the frames were read, and another made of its name.
-            return Err(no_such_map(&map.name));
+        if views.is_err() {
+            // Since the frames were read, it may be gone, or another.
+            let now = self.open_maps.row(&map.name).await?;
+            if now.id != map.id {
+                return Err(no_such_map(&map.name));
+            }
+            if now.edition != map.edition {
+                return Err(ServiceError::Aborted {
+                    message: format!(
+                        "the map {} was rewritten while its frames were read; ask again",
+                        map.name
+                    ),
+                });
+            }
         }
         views
     }

@@ -88,7 +88,12 @@ impl Storage {
             let noted = sqlx::query(
                 "INSERT INTO map_damage (map_id, found, found_ns) VALUES ($1, $2, $3) ON CONFLICT DO NOTHING",
             );
-            let noted = noted.bind(map).bind(&found).bind(now_ns()).execute(&self.writer).await;
+            let noted = self
+                .write(async |transaction| {
+                    noted.bind(map).bind(&found).bind(now_ns()).execute(&mut **transaction).await?;
+                    Ok(())
+                })
+                .await;
             if let Err(error) = noted {
                 tracing::error!(map, %error, "the damage could not be noted; it will be found again");
             }

@@ -92,12 +92,17 @@ impl Storage {
         vocabulary_len: usize,
         fold: &mut (dyn FnMut(u64, MapEvent) -> Result<(), StorageError> + Send),
     ) -> Result<(), StorageError> {
+        let edition = self.map_of_id(map).await?.map(|row| row.edition);
         let mut next = positions.start;
         let mut chain = self.chain_before(map, next).await?;
         // Page by page, so that a long replay does not keep a connection from others.
         loop {
             let rows = self.stored_events(map, next..positions.end).await;
             let rows = self.noting_rot(map, Where::Somewhere, rows).await?;
+            // What follows on what was read before, if that is still so.
+            if self.map_of_id(map).await?.map(|row| row.edition) != edition {
+                return Err(StorageError::Retold);
+            }
             let last = rows.len() < REPLAY_PAGE as usize;
             for stored in rows {
                 let event = stored.follow(next, chain).and_then(|link| {
