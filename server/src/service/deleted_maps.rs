@@ -65,15 +65,22 @@ impl DeletedMaps {
             self.storage.retire_import(map).await?;
             self.abandoned().retain(|&other| other != map);
         }
-        while let Some(map) = self.storage.retired_map().await? {
-            while self.storage.delete_piece(map).await? == Removal::Under {
-                if self.stopping.is_cancelled() {
-                    return Ok(());
-                }
+        let mut removed = Ok(());
+        for map in self.storage.retired_maps().await? {
+            // One that is damaged does not keep the others.
+            if let Err(error) = self.remove(map).await {
+                tracing::warn!(map, %error, "a deleted map cannot be taken away");
+                removed = Err(error);
             }
         }
         // After the maps: a model that one still refers to stays.
         while self.storage.drop_unfinished_model().await? {}
+        removed
+    }
+
+    /// As far as there is time.
+    async fn remove(&self, map: MapId) -> Result<(), StorageError> {
+        while !self.stopping.is_cancelled() && self.storage.delete_piece(map).await? == Removal::Under {}
         Ok(())
     }
 

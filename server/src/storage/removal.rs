@@ -67,10 +67,10 @@ impl Storage {
         .await
     }
 
-    /// A map whose rows are to be deleted.
-    pub(crate) async fn retired_map(&self) -> Result<Option<MapId>, StorageError> {
-        Ok(sqlx::query_scalar("SELECT id FROM maps WHERE state = 'deleting' ORDER BY id LIMIT 1")
-            .fetch_optional(&self.readers)
+    /// The maps whose rows are to be deleted.
+    pub(crate) async fn retired_maps(&self) -> Result<Vec<MapId>, StorageError> {
+        Ok(sqlx::query_scalar("SELECT id FROM maps WHERE state = 'deleting' ORDER BY id")
+            .fetch_all(&self.readers)
             .await?)
     }
 
