@@ -334,6 +334,11 @@ impl SessionStream {
                 Ok(map)
             }
             Err(error @ ServiceError::NotFound { .. }) => Err(FrameOutcome::Ended(error)),
+            // Those after it must not overtake it.
+            Err(error) if error.is_for_now() => {
+                let generation = self.order().generation;
+                Err(self.refused_for_now(sequence, generation, error))
+            }
             Err(error) => Err(self.refused(sequence, error)),
         }
     }
