@@ -26,6 +26,9 @@ impl MapWriter {
             Ok(event) => event,
             Err(error) => return Ok(Err(error)),
         };
+        if let Err(damaged) = self.storage.check_sound(self.map.id) {
+            return Ok(Err(damaged.into()));
+        }
         let position = event.position;
         let logged = MapEvent::Corrected(Box::new(event.clone()));
         self.take_in(&LogEntry { position, event: logged, media: Vec::new(), note: String::new() })?;

@@ -21,6 +21,9 @@ impl MapWriter {
             Err(error) => return Ok(Err(ServiceError::precondition(error))),
         };
         if !self.mapper.has_measured(&event) {
+            if let Err(damaged) = self.storage.check_sound(self.map.id) {
+                return Ok(Err(damaged.into()));
+            }
             let position = event.position;
             let event = MapEvent::Measured(Box::new(event));
             let entry = LogEntry { position, event, media: Vec::new(), note: String::new() };
