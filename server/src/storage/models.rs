@@ -138,6 +138,11 @@ pub(super) async fn insert_model(
     if done.rows_affected() > 0 {
         return Ok(true);
     }
+    // An import of a map that had brought it leaves it, if it comes to nothing: somebody else has it stored, too.
+    sqlx::query("UPDATE jobs SET result = NULL WHERE kind = 'import_map' AND state != 'succeeded' AND result = 'models/' || $1")
+        .bind(hash)
+        .execute(&mut **transaction)
+        .await?;
     sqlx::query("UPDATE models SET display_name = $1 WHERE hash = $2 AND display_name = ''")
         .bind(display_name)
         .bind(hash)
