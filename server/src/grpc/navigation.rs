@@ -8,7 +8,7 @@ use waypost_proto::v1::navigation_service_server::NavigationService;
 use waypost_proto::v1::{navigate_request, navigate_response};
 
 use super::Adapter;
-use super::reach::{with_caller, within};
+use super::reach::{with_caller, within, within_by};
 use crate::error::ServiceError;
 use crate::names::model_name;
 use crate::pages::Page;
@@ -55,8 +55,8 @@ impl NavigationService for Adapter {
         &self,
         request: Request<v1::SetGoalRequest>,
     ) -> Result<Response<v1::SetGoalResponse>, Status> {
-        let v1::SetGoalRequest { name, goal } = within(request)?;
-        let view = self.service.navigation.set_goal(&name, goal_request(goal)?).await?;
+        let (caller, v1::SetGoalRequest { name, goal }) = within_by(request)?;
+        let view = self.service.navigation.set_goal(&caller, &name, goal_request(goal)?).await?;
         Ok(Response::new(v1::SetGoalResponse { navigation: Some(navigation(view)) }))
     }
 

@@ -3,6 +3,7 @@
 use std::fmt::Display;
 use std::sync::Arc;
 
+use axum::Extension;
 use axum::Json;
 use axum::body::Bytes;
 use axum::extract::State;
@@ -23,6 +24,7 @@ use crate::names::{map_name, navigation_name};
 use crate::pages::Page;
 use crate::service::Service;
 use crate::service::navigation::{self, Goal, GoalRequest};
+use crate::service::tokens::Caller;
 use crate::wire::navigations::{goal_request, navigation as message, way};
 
 /// The robots that are led along a map, by name. One whose stream is gone is forgotten after a minute.
@@ -57,13 +59,14 @@ pub(super) async fn get_navigation(
     responses((status = 200, description = "The navigation.", body = v1::Navigation), Refusals, BodyRefusals))]
 pub(super) async fn set_goal(
     State(service): State<Arc<Service>>,
+    Extension(caller): Extension<Arc<Caller>>,
     InPath(NavigationPath { map, navigation }): InPath<NavigationPath>,
     InQuery(Nothing {}): InQuery<Nothing>,
     headers: HeaderMap,
     WholeBody(body): WholeBody,
 ) -> Result<Json<v1::Navigation>, HttpError> {
     let goal = wanted(&headers, body)?;
-    let view = service.navigation.set_goal(&navigation_name(&map, &navigation), goal).await?;
+    let view = service.navigation.set_goal(&caller, &navigation_name(&map, &navigation), goal).await?;
     Ok(Json(message(view)))
 }
 

@@ -294,7 +294,7 @@ impl Navigation {
             _room: room,
         };
         if let Some(goal) = goal.filter(|_| !stream.resumed)
-            && let Err(refused) = stream.guide.go_to(self, goal).await
+            && let Err(refused) = stream.guide.go_to(self, goal, caller.token.as_deref()).await
         {
             self.led.forget(key, &stream.guide);
             return Err(refused);
@@ -355,11 +355,12 @@ impl Navigation {
     /// Sends a robot that is led to a goal.
     pub(crate) async fn set_goal(
         &self,
+        caller: &Caller,
         name: &str,
         goal: GoalRequest,
     ) -> Result<NavigationView, ServiceError> {
         let guide = self.guide_of(name).await?;
-        guide.go_to(self, goal).await?;
+        guide.go_to(self, goal, caller.token.as_deref()).await?;
         Ok(self.led.view(&guide))
     }
 
@@ -475,12 +476,18 @@ impl Guide {
         }
     }
 
-    async fn go_to(&self, navigation: &Navigation, goal: GoalRequest) -> Result<(), ServiceError> {
+    /// `token` is whose frames an image counts among.
+    async fn go_to(
+        &self,
+        navigation: &Navigation,
+        goal: GoalRequest,
+        token: Option<&str>,
+    ) -> Result<(), ServiceError> {
         match self {
             Guide::TopoMetric(guide) => guide.go_to(navigation, goal).await,
             Guide::Appearance(guide) => {
                 let asked = guide.ask();
-                guide.go_to(navigation, goal, asked).await
+                guide.go_to(navigation, goal, (asked, token)).await
             }
         }
     }
@@ -549,11 +556,12 @@ impl NavigationStream {
             Guide::TopoMetric(guide) => guide.clone().go_to_in_time(&navigation, goal),
             Guide::Appearance(guide) => {
                 let guide = guide.clone();
+                let token = self.token.clone();
                 let asked = guide.ask_in_time();
                 guide.leave_reached_goal();
                 tokio::spawn(async move {
                     let named = goal.goal();
-                    if let Err(error) = guide.go_to(&navigation, goal, asked).await {
+                    if let Err(error) = guide.go_to(&navigation, goal, (asked, token.as_deref())).await {
                         guide.refuse(asked, GoalRefusal { goal: named, error });
                     }
                 });

@@ -6,6 +6,7 @@ mod journey;
 mod state;
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Instant;
 
 use crate::ingest::PanoramicView;
 use fabmap::appearance::PlaceId;
@@ -198,7 +199,7 @@ impl AppearanceGuide {
         &self,
         navigation: &Navigation,
         goal: GoalRequest,
-        asked: u64,
+        (asked, token): (u64, Option<&str>),
     ) -> Result<(), ServiceError> {
         let row = navigation.open_maps.row(&self.identity.map).await?;
         if row.id != self.identity.map_id {
@@ -207,7 +208,15 @@ impl AppearanceGuide {
         let graph = navigation.graphs.of(&row).await?;
         let goal = match goal {
             GoalRequest::Goal(goal) => goal,
-            GoalRequest::Image(image) => Goal::Place(self.place_of(navigation, graph.clone(), image).await?),
+            GoalRequest::Image(image) => {
+                // As a frame, of none of its streams.
+                let turn = navigation.quotas.frame(token, None, Instant::now())?;
+                let place = self.place_of(navigation, graph.clone(), image).await;
+                if !place.as_ref().is_err_and(ServiceError::is_for_now) {
+                    turn.spend();
+                }
+                Goal::Place(place?)
+            }
         };
         let images = navigation.images_of(&row, &graph, &goal).await?;
         let mut state = self.state();

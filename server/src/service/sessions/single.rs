@@ -79,10 +79,19 @@ impl Sessions {
         let model = self.models.get(&row.model).await?;
         let words = Words::declared(robot.words_hash, &model)?;
         let token = robot.opener.as_ref().and_then(|opener| opener.token.as_deref());
-        // Given back when it goes: the frame is counted once.
-        let _turn = self.storage.quotas().frame(token, None, Instant::now())?;
-        self.extraction.observe(model, frame.content.clone(), words, Keep::Words, None, None).await?;
-        Ok(())
+        let turn = self.storage.quotas().frame(token, None, Instant::now())?;
+        let observed =
+            self.extraction.observe(model, frame.content.clone(), words, Keep::Words, None, None).await;
+        match observed {
+            // The turn is given back: the frame is counted once, where it is taken in.
+            Ok(_) => Ok(()),
+            Err(error) => {
+                if !error.is_for_now() {
+                    turn.spend();
+                }
+                Err(error)
+            }
+        }
     }
 
     /// Refuses another frame under a number that is taken. Its stamp tells: what it shows is not kept by every map.
