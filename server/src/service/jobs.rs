@@ -64,6 +64,11 @@ pub(crate) struct Jobs {
 }
 
 impl Jobs {
+    /// Whether the server ends.
+    pub(super) fn is_stopping(&self) -> bool {
+        self.stopping.is_cancelled()
+    }
+
     pub(super) fn new(storage: Storage, deleted_maps: DeletedMaps, stopping: CancellationToken) -> Self {
         Self {
             storage,

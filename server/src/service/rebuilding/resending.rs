@@ -4,6 +4,7 @@ use std::collections::HashMap;
 use std::collections::hash_map::Entry;
 use std::pin::pin;
 use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
 
 use bytes::Bytes;
 use futures::stream::{self, StreamExt};
@@ -21,6 +22,12 @@ use crate::storage::{MapId, MapRow, MediumKind, StorageError, StoredSession};
 
 /// Nobody waits for an answer, so as many frames as share a commit well.
 const WINDOWS: Windows = Windows { prepared: 4, submitted: 32 };
+
+/// How long what passes may keep frames from being taken, with nothing taken meanwhile.
+const PATIENCE: Duration = Duration::from_secs(600);
+
+/// After which one is sent again that was refused without a word about that.
+const RETRY: Duration = Duration::from_secs(1);
 
 /// What is sent, and where.
 pub(super) struct Resending {
@@ -74,6 +81,7 @@ pub(super) enum WithoutContent {
 }
 
 /// A frame, and where what is kept of it lies.
+#[derive(Clone, Debug)]
 pub(super) struct KeptFrame {
     pub(super) map: MapId,
     pub(super) event: FrameEvent,
@@ -123,13 +131,36 @@ impl Rebuilding {
             let last = streams.get(&frame.event.session).and_then(|stream| stream.last_committed());
             last.is_some_and(|last| frame.event.sequence <= last)
         };
-        let (there, left): (Vec<KeptFrame>, Vec<KeptFrame>) = frames.into_iter().partition(committed);
+        let (there, mut left): (Vec<KeptFrame>, Vec<KeptFrame>) = frames.into_iter().partition(committed);
         if let WithoutContent::SendWords { .. } = resending.without_content {
             // What was lost of them is told, too, by a repair that goes on.
             for frame in &there {
                 self.content(resending, frame).await?;
             }
         }
+        let mut held_up_since = None;
+        while let Some((answered, error)) = self.send_once(resending, streams, &left).await? {
+            left.drain(..answered);
+            if answered > 0 {
+                held_up_since = None;
+            }
+            let since: Instant = *held_up_since.get_or_insert_with(Instant::now);
+            if since.elapsed() > PATIENCE || self.jobs.is_stopping() {
+                return Err(error);
+            }
+            tracing::info!(into = resending.into, %error, "frames are sent again in a moment");
+            tokio::time::sleep(error.retry_after().unwrap_or(RETRY)).await;
+        }
+        Ok(())
+    }
+
+    /// Sends frames until one is refused for now: how many before it were taken, and why it was not.
+    async fn send_once(
+        &self,
+        resending: &Arc<Resending>,
+        streams: &Streams,
+        left: &[KeptFrame],
+    ) -> Result<Option<(usize, ServiceError)>, ServiceError> {
         let read = |frame: KeptFrame| {
             let stream = streams.get(&frame.event.session).cloned();
             let (rebuilding, resending) = (self.clone(), resending.clone());
@@ -147,15 +178,19 @@ impl Rebuilding {
                 Ok::<_, ServiceError>((stream, Ok(Frame { sequence, stamp_ns, content, odometry, note })))
             }
         };
-        let frames = stream::iter(left).map(read).buffered(WINDOWS.prepared);
+        let frames = stream::iter(left.to_vec()).map(read).buffered(WINDOWS.prepared);
         let mut outcomes = pin!(sessions::run(frames, WINDOWS));
+        let mut answered = 0;
         while let Some(outcome) = outcomes.next().await {
             match outcome? {
-                FrameOutcome::Answered(_) => {}
+                FrameOutcome::Answered(_) => answered += 1,
+                FrameOutcome::Refused { error, .. } if error.is_for_now() => {
+                    return Ok(Some((answered, error)));
+                }
                 FrameOutcome::Refused { error, .. } | FrameOutcome::Ended(error) => return Err(error),
             }
         }
-        Ok(())
+        Ok(None)
     }
 
     /// What is kept of a frame that words can be made of, or its words.
