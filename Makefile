@@ -50,6 +50,8 @@ ON_POSTGRES ?= fleet:: maps::corrections maps::notes maps::snapshots::a_map_come
 # The same, where all is asked of a server that does not own the database.
 IN_RESERVE ?= rest::parity merging::whole_maps::two_maps merging::whole_maps::a_merge_without maps::snapshots::a_map_comes \
 	navigation::goals
+# The same, with media in a folder.
+IN_A_FOLDER ?= robots::frames maps::pictures maps::snapshots::a_map_comes maps::rebind maps::explain merging::whole_maps::two_maps
 # What looks into SQLite's file, or has a server of its own there.
 OF_SQLITE = maps::restore maps::snapshots::a_stalled maps::snapshots::stalled maps::snapshots::interrupted::an_import_that_fails \
 	maps::snapshots::interrupted::an_import_that_is_cancelled_while maps::snapshots::removal merging::compaction::what_was_removed \
@@ -59,6 +61,8 @@ test-postgres: build
 		$(CARGO) test $(CARGO_FLAGS) --release --locked --workspace --test end_to_end -- $(ON_POSTGRES) $(foreach test,$(OF_SQLITE),--skip $(test))
 	WAYPOST_BINARIES=$(abspath $(TARGET)) WAYPOST_TEST_ASKED_IN_RESERVE=1 scripts/with-postgres \
 		$(CARGO) test $(CARGO_FLAGS) --release --locked --workspace --test end_to_end -- $(IN_RESERVE)
+	WAYPOST_BINARIES=$(abspath $(TARGET)) WAYPOST_TEST_MEDIA=1 scripts/with-postgres \
+		$(CARGO) test $(CARGO_FLAGS) --release --locked --workspace --test end_to_end -- $(IN_A_FOLDER)
 
 # What the client's messages, arrays and calls go through, with the oldest and the newest packages that it works with.
 RANGE_TESTS = test_values.py test_decisions.py test_words.py test_calls.py

@@ -22,12 +22,14 @@ mod error;
 mod keys;
 mod layers;
 mod location;
+mod media;
 
 pub use error::ConfigError;
 pub use keys::unknown_variables;
 use keys::{KEYS, PREFIX, form};
 use layers::{CommandLine, Environment};
 pub use location::{DataLocation, NoStorage, StorageAddress};
+pub use media::MediaAddress;
 
 /// All settings. [`Default`] has the defaults.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
@@ -37,6 +39,8 @@ pub struct Config {
     pub data_dir: PathBuf,
     /// What keeps maps, models and tokens.
     pub storage: StorageAddress,
+    /// Where the media of frames lie.
+    pub media: MediaAddress,
     /// Where robots connect (gRPC).
     pub grpc_address: SocketAddr,
     /// Where people look (HTTP).
@@ -93,6 +97,7 @@ impl Default for Config {
         Self {
             data_dir: PathBuf::from("waypost-data"),
             storage: StorageAddress::Sqlite,
+            media: MediaAddress::Database,
             grpc_address: (Ipv4Addr::LOCALHOST, 7600).into(),
             http_address: (Ipv4Addr::LOCALHOST, 7601).into(),
             advertised_host: None,
@@ -143,6 +148,11 @@ pub struct Flags {
     #[arg(long, global = true, value_name = "STORAGE")]
     #[serde(skip_serializing_if = "Option::is_none")]
     storage: Option<StorageAddress>,
+    /// Where images, thumbnails and features of frames lie: database, or, beside PostgreSQL, s3://BUCKET/FOLDER or a folder
+    /// that all servers reach [default: database]
+    #[arg(long, global = true, value_name = "MEDIA")]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    media: Option<MediaAddress>,
     /// Where robots connect (gRPC); port 0 picks a free one [default: 127.0.0.1:7600]
     #[arg(long, value_name = "ADDRESS")]
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -261,7 +271,11 @@ impl Config {
     /// Where all lies that the server has.
     #[must_use]
     pub fn location(&self) -> DataLocation {
-        DataLocation { storage: self.storage.clone(), data_dir: self.data_dir.clone() }
+        DataLocation {
+            storage: self.storage.clone(),
+            data_dir: self.data_dir.clone(),
+            media: self.media.clone(),
+        }
     }
 
     /// [`Config::map_memory_mib`] in bytes.

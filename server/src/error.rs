@@ -237,16 +237,19 @@ impl From<StorageError> for ServiceError {
     fn from(error: StorageError) -> Self {
         match error {
             StorageError::DiskFull(_) => Self::disk_full(error),
-            StorageError::HeldUp(_) | StorageError::TakenOver => Self::held_up(error),
+            StorageError::HeldUp(_) | StorageError::MediaHeldUp { .. } | StorageError::TakenOver => {
+                Self::held_up(error)
+            }
             StorageError::Rot(found) => Self::damaged(&found),
             StorageError::DamagedModel { .. } => Self::damaged_model(&error),
             StorageError::ReadOnly(_) => Self::precondition(error),
             StorageError::Abandoned => Self::aborted(error),
+            StorageError::Retold => Self::Aborted { message: format!("{error}; ask again") },
+            StorageError::NoText => Self::invalid(error),
             StorageError::OverQuota(over) => over.into(),
             StorageError::Exists
             | StorageError::InUse
             | StorageError::JobEnded
-            | StorageError::Retold
             | StorageError::Directory { .. }
             | StorageError::NothingThere { .. }
             | StorageError::Locked { .. }

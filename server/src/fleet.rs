@@ -18,7 +18,7 @@ use crate::config::{DataLocation, StorageAddress};
 use crate::metrics::Metrics;
 use crate::net::standing::Strangers;
 use crate::net::tls::Tls;
-use crate::storage::{Addresses, Claim, WhileOwned, host_name, inspect_postgres};
+use crate::storage::{Addresses, Claim, WhileOwned, host_name, inspect_media_store, inspect_postgres};
 use crate::{Exposed, Server, exposed};
 
 /// Where a server listens, and how it speaks there.
@@ -120,6 +120,9 @@ fn open_or_relay<'a>(
             return Server::open(location.clone()).await.map(Some);
         };
         let (tell, owner) = watch::channel(None);
+        if opening == Opening::First {
+            inspect_media_store(&location.storage, &location.media).await?;
+        }
         let relay = Relay::new(owner, database, ports.tls.as_ref(), Metrics::new()?);
         let (grpc, http) = ports.shared()?;
         let addresses = ports.addresses()?;

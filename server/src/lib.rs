@@ -50,7 +50,7 @@ use crate::config::{Config, DataLocation, StorageAddress};
 use crate::metrics::{HISTORY_EVERY, Metrics};
 use crate::service::Service;
 use crate::service::tokens::{Anonymous, Tokens};
-use crate::storage::{Addresses, Claim, Storage, WhileOwned};
+use crate::storage::{Addresses, Claim, Storage, WhileOwned, check_media_beside_sqlite};
 
 /// How long connections may take to end once the server stops.
 const GRACE: Duration = Duration::from_secs(5);
@@ -123,6 +123,7 @@ impl Server {
 
     async fn open_with(location: &DataLocation, claim: Claim) -> anyhow::Result<Self> {
         let service = open(location, claim).await?;
+        service.settle_media_store().await?;
         service.settle().await?;
         let defaults = Config::default();
         let map_memory_bytes = defaults.map_memory_bytes();
@@ -331,10 +332,13 @@ fn exposed(addresses: [SocketAddr; 2]) -> Option<SocketAddr> {
 }
 
 async fn open(location: &DataLocation, claim: Claim) -> anyhow::Result<Arc<Service>> {
-    let DataLocation { storage, data_dir } = location;
+    let DataLocation { storage, data_dir, media } = location;
     let storage = match storage {
-        StorageAddress::Sqlite => Storage::open(data_dir).await?,
-        StorageAddress::Postgres(url) => Storage::connect(url, data_dir, claim).await?,
+        StorageAddress::Sqlite => {
+            check_media_beside_sqlite(media)?;
+            Storage::open(data_dir).await?
+        }
+        StorageAddress::Postgres(url) => Storage::connect(url, data_dir, media, claim).await?,
     };
     let tokens = Tokens::load(&storage).await?;
     Ok(Arc::new(Service::new(storage, tokens, Metrics::new()?)))

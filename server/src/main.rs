@@ -157,7 +157,11 @@ async fn work_on_data(command: DataCommand, config: &Config) -> anyhow::Result<E
             offline::need_sqlite(&config.storage, "backup")?;
             report(&offline::make_backup(&config.data_dir, &directory).await?)
         }
-        DataCommand::Migrate { from, to } => {
+        DataCommand::Migrate { mut from, mut to } => {
+            // Of the one that may have them elsewhere.
+            let is_from = matches!(from.storage, StorageAddress::Postgres(_));
+            let of = if is_from { &mut from } else { &mut to };
+            of.media = config.media.clone();
             let findings = offline::migrate(&from, &to).await?;
             eprintln!("all of {from} is in {to}; start a server on it");
             report(&findings)
@@ -236,6 +240,7 @@ async fn configured(server: Server, config: &Config, tls: Option<Tls>) -> anyhow
     let Config {
         data_dir: _,
         storage: _,
+        media: _,
         grpc_address: _,
         http_address: _,
         advertised_host: _,

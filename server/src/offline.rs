@@ -8,15 +8,15 @@ use tokio::net::TcpListener;
 use waypost_proto::flags::{QuotasFlags, seconds};
 
 use crate::clock::in_words;
-use crate::config::{Config, DataLocation, StorageAddress};
+use crate::config::{Config, DataLocation, MediaAddress, StorageAddress};
 use crate::net::tls::Tls;
 use crate::role::{Ability, Reach, Role};
 use crate::service::Service;
 use crate::service::maps::Detail;
 use crate::service::tokens::{NewToken, TokenRow};
 use crate::storage::{
-    Claim, DeepInspection, Inspection, Moved, Source, back_up, inspect, inspect_all, inspect_postgres,
-    restore,
+    Claim, DeepInspection, Inspection, Moved, Source, back_up, inspect, inspect_all, inspect_media_store,
+    inspect_postgres, restore,
 };
 use crate::wire::tokens::requested_limits;
 use crate::{Exposed, exposed, open};
@@ -160,6 +160,9 @@ async fn check_what_is_kept(config: &Config) -> (Vec<Finding>, Option<u64>) {
         Finding { subject: "certificates", result: tls },
         Finding { subject: config.location().subject(), result: data },
     ];
+    if config.media != MediaAddress::Database || config.storage != StorageAddress::Sqlite {
+        findings.push(Finding { subject: "media", result: check_media(&config.location()).await });
+    }
     findings.extend(tokens.map(|tokens| Finding { subject: "access", result: check_access(config, tokens) }));
     (findings, tokens)
 }
@@ -258,9 +261,10 @@ pub fn migrate<'a>(
         anyhow::ensure!(from != to, "the source and the target are the same; name another target");
         let source = match &from.storage {
             StorageAddress::Sqlite => Source::of_directory(&from.data_dir).await?,
-            StorageAddress::Postgres(url) => Source::of_postgres(url).await?,
+            StorageAddress::Postgres(url) => Source::of_postgres(url, &from.media).await?,
         };
         let service = open(to, Claim::at_once()).await?;
+        service.settle_media_store().await?;
         let moved = move_into(&service, source).await;
         service.stop().await;
         moved
@@ -319,6 +323,11 @@ async fn check_data(location: &DataLocation) -> (Result<String, String>, Option<
         }
         Err(error) => (Err(error.to_string()), None),
     }
+}
+
+async fn check_media(location: &DataLocation) -> Result<String, String> {
+    let checked = inspect_media_store(&location.storage, &location.media).await;
+    checked.map(|()| format!("they go to {}", location.media)).map_err(|error| error.to_string())
 }
 
 fn check_access(config: &Config, tokens: u64) -> Result<String, String> {

@@ -165,6 +165,7 @@ impl Service {
         self.jobs.track(self.deleted_maps.clone().keep_deleting());
         self.jobs.track(self.open_maps.clone().keep_within(map_memory_bytes));
         self.jobs.track(self.tokens.clone().keep_ending(self.stopping.clone()));
+        self.jobs.track(self.storage.clone().keep_sweeping(self.stopping.clone()));
     }
 
     /// Has the other servers of the same database look at images, until this one stops.
@@ -193,6 +194,11 @@ impl Service {
     /// Cancelled when the server begins to stop: streams end then.
     pub(crate) fn stopping(&self) -> &CancellationToken {
         &self.stopping
+    }
+
+    /// Sees to it that media go to the store where those of the database are.
+    pub(crate) async fn settle_media_store(&self) -> Result<(), StorageError> {
+        self.storage.settle_media_store().await
     }
 
     /// What an earlier server left unfinished when it went down is settled before anyone asks.

@@ -21,11 +21,13 @@ mod labels;
 mod log;
 mod maps;
 mod media;
+mod media_store;
 mod merges;
 mod models;
 mod moving;
 mod new_events;
 mod notes;
+mod objects;
 mod postgres;
 mod removal;
 mod retelling;
@@ -47,6 +49,7 @@ pub(crate) use labels::LabelRow;
 pub(crate) use log::{ClosureRow, LogEntry, StoredFrame};
 pub(crate) use maps::{MapCounts, MapEdition, MapId, MapRow, SessionRow};
 pub(crate) use media::{MapBytes, Medium, MediumKind, StoredFeatures, kept_bytes};
+pub(crate) use media_store::{check_media_beside_sqlite, inspect_media_store};
 pub(crate) use merges::{JoinedLog, JoinedSession, MergeOutcome, MergeRow, MergeState};
 pub(crate) use models::ModelRow;
 pub(crate) use moving::{Moved, Source};
@@ -64,6 +67,7 @@ pub(crate) use tokens::{FormerSecret, SecretHash, TokenRow};
 
 use damage::Damages;
 use engine::Engine;
+use objects::Objects;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -71,6 +75,7 @@ use std::sync::Arc;
 use sqlx::pool::PoolConnection;
 use sqlx::{Any, AnyConnection, AnyPool, AssertSqlSafe, Connection, Transaction};
 
+use crate::config::MediaAddress;
 use crate::quotas::Quotas;
 
 /// The database of one server. Cheap to clone.
@@ -91,6 +96,8 @@ pub(crate) struct Storage {
     /// Whoever watches maps.
     commits: Arc<commits::Commits>,
     quotas: Quotas,
+    /// Where media lie that are not in the database.
+    objects: Option<Objects>,
 }
 
 /// Connections to a database.
@@ -108,18 +115,29 @@ impl Storage {
     /// Opens the SQLite database of `directory`, making both where they are missing.
     pub(crate) async fn open(directory: &Path) -> Result<Self, StorageError> {
         let (engine, pools) = sqlite::open(directory).await?;
-        Self::over(Engine::Sqlite(engine), pools, directory).await
+        Self::over(Engine::Sqlite(engine), pools, directory, None).await
     }
 
     /// Opens a database of PostgreSQL, making its tables where they are missing. In
     /// `directory`, which is made, lie files for a while.
-    pub(crate) async fn connect(address: &str, directory: &Path, claim: Claim) -> Result<Self, StorageError> {
+    pub(crate) async fn connect(
+        address: &str,
+        directory: &Path,
+        media: &MediaAddress,
+        claim: Claim,
+    ) -> Result<Self, StorageError> {
+        let objects = Objects::at(media)?;
         sqlite::make_directory(directory).map_err(|source| StorageError::of_directory(directory, source))?;
         let (engine, pools) = postgres::open(address, claim).await?;
-        Self::over(Engine::Postgres(engine), pools, directory).await
+        Self::over(Engine::Postgres(engine), pools, directory, objects).await
     }
 
-    async fn over(engine: Engine, pools: Pools, directory: &Path) -> Result<Self, StorageError> {
+    async fn over(
+        engine: Engine,
+        pools: Pools,
+        directory: &Path,
+        objects: Option<Objects>,
+    ) -> Result<Self, StorageError> {
         let Pools { writer, readers, exporters } = pools;
         let storage = Self {
             writer,
@@ -131,6 +149,7 @@ impl Storage {
             waiting: Arc::default(),
             commits: Arc::default(),
             quotas: Quotas::default(),
+            objects,
         };
         storage.load_damages().await?;
         if let Engine::Sqlite(_) = storage.engine {

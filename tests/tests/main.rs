@@ -18,6 +18,7 @@ mod fleet {
     mod helping;
     mod jobs;
     mod lease_model;
+    mod media;
     mod migrating;
     mod owners;
     mod standbys;

@@ -6,9 +6,13 @@ use std::ffi::OsString;
 pub(super) const PREFIX: &str = "WAYPOST_";
 
 /// Every setting, with how it is written.
-pub(super) const KEYS: [(&str, &str); 22] = [
+pub(super) const KEYS: [(&str, &str); 23] = [
     ("data_dir", "a directory, as in \"waypost-data\""),
     ("storage", "\"sqlite\", or a URL, as in \"postgres://waypost@db.example.org/waypost\""),
+    (
+        "media",
+        "\"database\", a bucket, as in \"s3://waypost/halls\", or a folder, as in \"/srv/waypost-media\"",
+    ),
     ("grpc_address", "an address and a port, as in \"127.0.0.1:7600\""),
     ("http_address", "an address and a port, as in \"127.0.0.1:7601\""),
     ("advertised_host", "a host's name or address, as in \"waypost-2.example.org\""),

@@ -6,6 +6,7 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
+use super::MediaAddress;
 use crate::storage::parse_postgres_address;
 
 /// What keeps the tables.
@@ -22,7 +23,7 @@ pub enum StorageAddress {
 /// No [`StorageAddress`].
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("{0}")]
-pub struct NoStorage(String);
+pub struct NoStorage(pub(super) String);
 
 impl FromStr for StorageAddress {
     type Err = NoStorage;
@@ -88,6 +89,8 @@ pub struct DataLocation {
     pub storage: StorageAddress,
     /// SQLite's file is here, and what is being brought in.
     pub data_dir: PathBuf,
+    /// Where the media of frames lie.
+    pub media: MediaAddress,
 }
 
 impl DataLocation {
@@ -106,7 +109,7 @@ impl FromStr for DataLocation {
 
     fn from_str(text: &str) -> Result<Self, NoStorage> {
         if text.contains("://") {
-            return Ok(Self { storage: text.parse()?, data_dir: std::env::temp_dir() });
+            return Ok(Self { storage: text.parse()?, data_dir: std::env::temp_dir(), ..Self::default() });
         }
         Ok(PathBuf::from(text).into())
     }
@@ -115,7 +118,7 @@ impl FromStr for DataLocation {
 /// With a file of SQLite in it.
 impl From<PathBuf> for DataLocation {
     fn from(data_dir: PathBuf) -> Self {
-        Self { storage: StorageAddress::Sqlite, data_dir }
+        Self { data_dir, ..Self::default() }
     }
 }
 

@@ -122,7 +122,10 @@ fn what_is_wrong_is_named_with_its_source_and_its_form() {
     let environment = |key, value| refused(&[], "", &[(key, value)]);
     let cases = [
         (refused(&[], "grpc_adress = \"127.0.0.1:1\"", &[]), "FILE has the unknown key `grpc_adress`"),
-        (refused(&[], "grpc_adress = \"127.0.0.1:1\"", &[]), "known are data_dir, storage, grpc_address"),
+        (
+            refused(&[], "grpc_adress = \"127.0.0.1:1\"", &[]),
+            "known are data_dir, storage, media, grpc_address",
+        ),
         (refused(&[], "grpc_address = \"here\"", &[]), "grpc_address (in FILE) cannot be used"),
         (refused(&[], "grpc_address = \"here\"", &[]), "as in \"127.0.0.1:7600\""),
         (refused(&[], "data_dir = 7", &[]), "data_dir (in FILE) cannot be used"),
@@ -149,6 +152,7 @@ fn what_is_wrong_is_named_with_its_source_and_its_form() {
             refused(&[], "tls_certificate = \"c\"", &[]),
             "tls_certificate (in FILE) needs tls_key, which is not set",
         ),
+        (environment("WAYPOST_MEDIA", "media"), "write \"database\", a bucket"),
         (environment("WAYPOST_TLS_CLIENT_CA", "c"), "tls_client_ca (from the environment"),
         (environment("WAYPOST_TLS_FLEET_CA", "c"), "tls_fleet_ca (from the environment"),
         (environment("WAYPOST_ADVERTISED_HOST", "http://a"), "`http://a` is no host"),

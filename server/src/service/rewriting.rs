@@ -60,6 +60,7 @@ impl Rewriting {
             let compacted = async {
                 rewriting.storage.end_undoing(map.id).await?;
                 rewriting.storage.wipe_deleted().await?;
+                rewriting.storage.sweep_media().await?;
                 let end = reporter.succeeded(map_name(&map.name));
                 rewriting.storage.end_job(&end).await?;
                 Ok::<_, StorageError>(end)

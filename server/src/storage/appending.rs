@@ -12,9 +12,10 @@ use tokio::sync::oneshot;
 use super::damage::Where;
 use super::kept::{KeptByOwner, KeptBySession, add_kept};
 use super::log::LogEntry;
-use super::media::{insert_media, kept_bytes};
+use super::media::{Medium, Whose, insert_medium, kept_bytes};
 use super::new_events::{NewEvent, insert_events};
 use super::notes::insert_note;
+use super::objects::ObjectRef;
 use super::values::to_sql;
 use super::{MapId, Storage, StorageError};
 use crate::quotas::Used;
@@ -38,8 +39,12 @@ struct Append {
     number: u64,
     map: MapId,
     entries: Arc<[LogEntry]>,
+    objects: Arc<Outside>,
     done: oneshot::Sender<Shared>,
 }
+
+/// For each event, and each of its media, the object that it was put to, if it is not in the database.
+type Outside = Vec<Vec<Option<ObjectRef>>>;
 
 /// What a transaction that others had a part in came to, for one of them.
 #[derive(Debug)]
@@ -62,19 +67,28 @@ impl Storage {
     /// Appends events to a map's log, all or none, and returns when they are on the disk.
     pub(crate) async fn append(&self, map: MapId, entries: Arc<[LogEntry]>) -> Result<(), StorageError> {
         self.check_sound(map)?;
-        let appended = match self.append_together(map, &entries).await {
+        let objects = Arc::new(self.put_media(map, &entries).await?);
+        let appended = match self.append_together(map, &entries, &objects).await {
             Shared::Stored => Ok(()),
             Shared::Failed(error) => Err(error),
-            Shared::TryAlone => self.append_alone(map, &entries).await,
+            Shared::TryAlone => self.append_alone(map, &entries, &objects).await,
         };
         self.noting_rot(map, Where::Somewhere, appended).await?;
         self.commits.tell(map);
         Ok(())
     }
 
-    async fn append_together(&self, map: MapId, entries: &Arc<[LogEntry]>) -> Shared {
+    /// Before any row names them.
+    async fn put_media(&self, map: MapId, entries: &[LogEntry]) -> Result<Outside, StorageError> {
+        let media = entries.iter().flat_map(|entry| &entry.media);
+        let contents: Vec<&[u8]> = media.map(|medium| medium.content.as_slice()).collect();
+        let mut objects = self.put_outside(map, &contents).await?.into_iter();
+        Ok(entries.iter().map(|entry| objects.by_ref().take(entry.media.len()).collect()).collect())
+    }
+
+    async fn append_together(&self, map: MapId, entries: &Arc<[LogEntry]>, objects: &Arc<Outside>) -> Shared {
         let (done, mut told) = oneshot::channel();
-        let number = self.waiting.push(map, entries.clone(), done);
+        let number = self.waiting.push(map, entries.clone(), objects.clone(), done);
         loop {
             let connection = tokio::select! {
                 biased;
@@ -118,9 +132,9 @@ impl Storage {
     ) -> Result<(), Failure> {
         let before = |error: sqlx::Error| Failure::Before(error.into());
         let mut transaction = connection.begin().await.map_err(before)?;
-        let entries: Vec<(MapId, &LogEntry)> = appends
+        let entries: Vec<New<'_>> = appends
             .iter()
-            .flat_map(|append| append.entries.iter().map(|entry| (append.map, entry)))
+            .flat_map(|append| new_entries(append.map, &append.entries, &append.objects))
             .collect();
         let inserted = async {
             self.engine.fence(&mut transaction).await?;
@@ -132,8 +146,13 @@ impl Storage {
         Ok(())
     }
 
-    async fn append_alone(&self, map: MapId, entries: &[LogEntry]) -> Result<(), StorageError> {
-        let entries: Vec<(MapId, &LogEntry)> = entries.iter().map(|entry| (map, entry)).collect();
+    async fn append_alone(
+        &self,
+        map: MapId,
+        entries: &[LogEntry],
+        objects: &Outside,
+    ) -> Result<(), StorageError> {
+        let entries: Vec<New<'_>> = new_entries(map, entries, objects).collect();
         let insert = async |transaction: &mut Transaction<'_, Any>| insert(transaction, &entries).await;
         self.write_and(insert, async |_, kept| self.count(kept)).await.map(drop)
     }
@@ -147,11 +166,17 @@ impl Storage {
 
 impl Waiting {
     /// The number by which it can be taken back.
-    fn push(&self, map: MapId, entries: Arc<[LogEntry]>, done: oneshot::Sender<Shared>) -> u64 {
+    fn push(
+        &self,
+        map: MapId,
+        entries: Arc<[LogEntry]>,
+        objects: Arc<Outside>,
+        done: oneshot::Sender<Shared>,
+    ) -> u64 {
         let mut queue = self.queue();
         let number = queue.next_number;
         queue.next_number += 1;
-        queue.appends.push(Append { number, map, entries, done });
+        queue.appends.push(Append { number, map, entries, objects, done });
         number
     }
 
@@ -188,19 +213,39 @@ impl Append {
     }
 }
 
+/// An event that is to be stored.
+struct New<'a> {
+    map: MapId,
+    entry: &'a LogEntry,
+    /// Of its media, in their order.
+    objects: &'a [Option<ObjectRef>],
+}
+
+fn new_entries<'a>(
+    map: MapId,
+    entries: &'a [LogEntry],
+    objects: &'a Outside,
+) -> impl Iterator<Item = New<'a>> {
+    entries.iter().zip(objects).map(move |(entry, objects)| New { map, entry, objects })
+}
+
 /// Stores events with what is kept beside them; what each owner of sessions keeps more by it.
 async fn insert(
     transaction: &mut Transaction<'_, Any>,
-    entries: &[(MapId, &LogEntry)],
+    entries: &[New<'_>],
 ) -> Result<KeptByOwner, StorageError> {
     let events: Vec<NewEvent<'_>> = entries
         .iter()
-        .map(|(map, entry)| NewEvent { map: *map, position: entry.position, event: &entry.event })
+        .map(|New { map, entry, .. }| NewEvent { map: *map, position: entry.position, event: &entry.event })
         .collect();
     let lengths = insert_events(transaction, &events).await?;
     let mut kept = KeptBySession::new();
-    for ((map, LogEntry { position, event, media, note }), bytes) in entries.iter().zip(lengths) {
-        insert_media(transaction, *map, to_sql(*position), media).await?;
+    for (New { map, entry, objects }, bytes) in entries.iter().zip(lengths) {
+        let LogEntry { position, event, media, note } = entry;
+        for (Medium { kind, content }, object) in media.iter().zip(*objects) {
+            let whose = Whose { map: *map, frame: *position, kind: *kind };
+            insert_medium(transaction, whose, content, object.as_ref()).await?;
+        }
         insert_note(transaction, *map, to_sql(*position), note).await?;
         *kept.entry((*map, event.session())).or_default() += bytes + kept_bytes(media);
     }
@@ -330,7 +375,7 @@ mod tests {
         let entry = opened(0)[0].clone();
         let mut pushed = [MOST_EVENTS + 1, 1, MOST_EVENTS - 1, 1, 1].map(|events| {
             let (done, told) = oneshot::channel();
-            (waiting.push(1, vec![entry.clone(); events].into(), done), told)
+            (waiting.push(1, vec![entry.clone(); events].into(), Arc::default(), done), told)
         });
         let taken = || waiting.take().iter().map(|append| append.number).collect::<Vec<_>>();
         assert_eq!(taken(), [0]);

@@ -73,6 +73,14 @@ impl Engine {
         }
     }
 
+    /// Whether media may lie outside it.
+    pub(super) fn may_have_objects(&self) -> bool {
+        match self {
+            Self::Sqlite(_) => false,
+            Self::Postgres(_) => true,
+        }
+    }
+
     /// Once all connections are closed.
     pub(super) fn release(&self) {
         match self {
@@ -93,7 +101,7 @@ impl Storage {
     pub(crate) async fn wipe_deleted(&self) -> Result<(), StorageError> {
         match &self.engine {
             Engine::Sqlite(sqlite) => sqlite.wipe_deleted(&self.writer).await,
-            Engine::Postgres(_) => postgres::wipe_deleted(&self.writer).await,
+            Engine::Postgres(_) => postgres::wipe_deleted(&self.exporters).await,
         }
     }
 

@@ -34,6 +34,8 @@ pub(crate) enum StorageError {
     DiskFull(#[source] sqlx::Error),
     #[error("the database is held up: {0}")]
     HeldUp(sqlx::Error),
+    #[error("the media store {address} does not do what it is asked: {reason}")]
+    MediaHeldUp { address: String, reason: String },
     #[error("something of this name is there already")]
     Exists,
     #[error("it is still in use")]
@@ -42,6 +44,8 @@ pub(crate) enum StorageError {
     JobEnded,
     #[error("the log was rewritten, or deleted, since it was read")]
     Retold,
+    #[error("a text has the character U+0000, which no name, label or note has; leave it out")]
+    NoText,
     #[error("whoever asked for it has gone")]
     Abandoned,
     #[error("the database holds what cannot be read: {0}; restore it from a copy")]
@@ -114,10 +118,12 @@ impl StorageError {
             | Self::Newer { .. }
             | Self::NoDatabase { .. }
             | Self::Broken { .. }
+            | Self::MediaHeldUp { .. }
             | Self::Exists
             | Self::InUse
             | Self::JobEnded
             | Self::Retold
+            | Self::NoText
             | Self::Abandoned
             | Self::Damaged(_)
             | Self::Rot(_)
@@ -158,6 +164,7 @@ enum PostgresTrouble {
     HeldUp,
     DiskFull,
     Rot,
+    NoText,
 }
 
 /// By the classes and codes of SQLSTATE.
@@ -166,6 +173,7 @@ fn postgres_trouble(error: &sqlx::Error) -> Option<PostgresTrouble> {
     match error.code() {
         "53100" => Some(PostgresTrouble::DiskFull),
         "XX001" | "XX002" => Some(PostgresTrouble::Rot),
+        "22021" => Some(PostgresTrouble::NoText),
         // A standby; a lock, or a statement, that took too long; deadlock; serialization.
         "25006" | "55P03" | "57014" | "40P01" | "40001" => Some(PostgresTrouble::HeldUp),
         code if ["08", "53", "57", "58"].iter().any(|class| code.starts_with(class)) => {
@@ -214,6 +222,7 @@ impl From<sqlx::Error> for StorageError {
         match postgres_trouble(&error) {
             Some(PostgresTrouble::HeldUp) => return Self::HeldUp(error),
             Some(PostgresTrouble::DiskFull) => return Self::DiskFull(error),
+            Some(PostgresTrouble::NoText) => return Self::NoText,
             Some(PostgresTrouble::Rot) | None => {}
         }
         match primary_code(&error) {

@@ -79,9 +79,9 @@ const NOTE: &str =
 
 const FRAME_COLUMNS: &str = "position, event, checksum, chain, length(event) AS log, \
      coalesce((SELECT note FROM frame_notes WHERE map_id = l.map_id AND position = l.position), '') AS note, \
-     coalesce((SELECT length(content) FROM frame_media WHERE map_id = l.map_id AND position = l.position AND kind = 'features'), 0) AS features, \
-     coalesce((SELECT length(content) FROM frame_media WHERE map_id = l.map_id AND position = l.position AND kind = 'thumbnail'), 0) AS thumbnail, \
-     coalesce((SELECT length(content) FROM frame_media WHERE map_id = l.map_id AND position = l.position AND kind = 'image'), 0) AS image \
+     coalesce((SELECT coalesce(object_bytes, length(content)) FROM frame_media WHERE map_id = l.map_id AND position = l.position AND kind = 'features'), 0) AS features, \
+     coalesce((SELECT coalesce(object_bytes, length(content)) FROM frame_media WHERE map_id = l.map_id AND position = l.position AND kind = 'thumbnail'), 0) AS thumbnail, \
+     coalesce((SELECT coalesce(object_bytes, length(content)) FROM frame_media WHERE map_id = l.map_id AND position = l.position AND kind = 'image'), 0) AS image \
      FROM log AS l";
 
 impl Storage {

@@ -14,7 +14,7 @@ use crate::quotas::{Quotas, Used, UsedByOwner};
 /// What each session keeps of some map, counted from its log and media.
 const COUNTED: &str = "SELECT session, CAST(sum(bytes) AS BIGINT) AS bytes FROM ( \
      SELECT session, length(event) AS bytes FROM log WHERE map_id = $1 \
-     UNION ALL SELECT session, length(content) AS bytes FROM log JOIN frame_media USING (map_id, position) \
+     UNION ALL SELECT session, coalesce(object_bytes, length(content)) AS bytes FROM log JOIN frame_media USING (map_id, position) \
      WHERE map_id = $1) AS kept GROUP BY session";
 
 /// Bytes that sessions of maps have come to keep.

@@ -537,8 +537,8 @@ async fn copy_media(
     from: u64,
 ) -> Result<(), StorageError> {
     sqlx::query(
-        "INSERT INTO frame_media (map_id, position, kind, content) \
-         SELECT $1, position + $2, kind, content FROM frame_media \
+        "INSERT INTO frame_media (map_id, position, kind, content, object, object_bytes, object_sha256) \
+         SELECT $1, position + $2, kind, content, object, object_bytes, object_sha256 FROM frame_media \
          WHERE map_id = $3 AND position >= $4 AND position < $5",
     )
     .bind(map)

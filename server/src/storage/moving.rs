@@ -3,6 +3,7 @@
 //! What is read is one snapshot of the source, which may be served meanwhile. What is written is hidden until every row
 //! was read back and compared. One that was cut off goes on where it was.
 
+mod media;
 mod tables;
 
 use std::path::Path;
@@ -14,8 +15,10 @@ use sqlx::{Any, AnyConnection, AssertSqlSafe, Row, Transaction};
 use tables::Kind::{self, Bytes, Real, Text, Whole};
 use tables::{JOBS, MAPS, MERGES, MODELS, NUMBERED, OF_MAPS, TOKENS, Table};
 
+use super::objects::Objects;
 use super::values::MaybeReal;
 use super::{MapId, Storage, StorageError, engine, postgres, sqlite};
+use crate::config::MediaAddress;
 
 /// What was brought over.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -30,6 +33,8 @@ pub(crate) struct Moved {
 pub(crate) struct Source {
     connection: AnyConnection,
     numbers: &'static str,
+    /// Where its media lie that are not in it.
+    objects: Option<Objects>,
 }
 
 /// A value of a column. Reals by their bits: what is copied is the same to the last of them.
@@ -46,14 +51,14 @@ impl Source {
     pub(crate) async fn of_directory(directory: &Path) -> Result<Self, StorageError> {
         let mut connection = sqlite::open_to_read(directory).await?;
         sqlx::query("BEGIN").execute(&mut connection).await?;
-        Ok(Self { connection, numbers: sqlite::LAST_NUMBER })
+        Ok(Self { connection, numbers: sqlite::LAST_NUMBER, objects: None })
     }
 
     /// A database of PostgreSQL, which a server may run on.
-    pub(crate) async fn of_postgres(address: &str) -> Result<Self, StorageError> {
+    pub(crate) async fn of_postgres(address: &str, media: &MediaAddress) -> Result<Self, StorageError> {
         let mut connection = postgres::open_to_read(address).await?;
         sqlx::query(engine::POSTGRES_SNAPSHOT).execute(&mut connection).await?;
-        Ok(Self { connection, numbers: postgres::LAST_NUMBER })
+        Ok(Self { connection, numbers: postgres::LAST_NUMBER, objects: Objects::at(media)? })
     }
 
     /// The numbers of its maps.
@@ -153,6 +158,8 @@ impl Storage {
             && let Some(last) = rows.last()
         {
             after = Some(last[..table.key.len()].to_vec());
+            let rows = media::with_content(source.objects.as_ref(), table, rows).await?;
+            let rows = media::put_outside(self.objects.as_ref(), (table, map), rows).await?;
             self.write(async |transaction| {
                 for row in &rows {
                     insert(transaction, table, None, map, row).await?;
@@ -192,6 +199,8 @@ impl Storage {
         loop {
             let read = page(&mut source.connection, table, map, after.as_deref(), table.page).await?;
             let written = page(&mut here, table, map, after.as_deref(), table.page).await?;
+            let read = media::with_content(source.objects.as_ref(), table, read).await?;
+            let written = media::with_content(self.objects.as_ref(), table, written).await?;
             if read != written {
                 return Err(StorageError::Unfit(format!(
                     "the table {} is not in the target as it is in the source: the source has changed since an earlier \

@@ -36,6 +36,8 @@ use super::{EXPORTERS, Pools, READERS, StorageError, connections};
 /// Statements, and waits for locks, are bounded in time: who asks gets an answer.
 const STATEMENT_TIMEOUT: Duration = Duration::from_secs(60);
 const LOCK_TIMEOUT: Duration = Duration::from_secs(10);
+/// How long a transaction that writes may wait for the next statement of its server.
+const IDLE_TRANSACTION_TIMEOUT: Duration = Duration::from_secs(10);
 /// So is the wait for a connection, as to a machine that is gone.
 const CONNECTION_TIMEOUT: Duration = Duration::from_secs(10);
 
@@ -104,7 +106,7 @@ async fn open_where_written(address: &str, claim: &Claim) -> Result<(Postgres, P
     check(&mut connection).await?;
     migrate(&mut connection).await?;
     connection.close().await?;
-    let writer = pool(1).connect(&address).await?;
+    let writer = writing_pool().connect(&address).await?;
     let readers = pool(READERS).connect(&address).await?;
     let exporters = pool(EXPORTERS).connect_lazy(&address)?;
     let (epoch, secret) = take(&writer, claim).await?;
@@ -148,14 +150,30 @@ pub(crate) async fn inspect_postgres(address: &str) -> Result<Option<Inspection>
 }
 
 fn pool(connections: u32) -> AnyPoolOptions {
-    connections::pool(connections).acquire_timeout(CONNECTION_TIMEOUT).after_connect(|connection, _| {
+    pool_with(connections, String::new())
+}
+
+/// Of an owner that vanishes in the middle of a transaction, as with its machine or its network, the database ends that:
+/// nobody could take over before.
+fn writing_pool() -> AnyPoolOptions {
+    let idle = IDLE_TRANSACTION_TIMEOUT.as_millis();
+    let settings = format!(
+        "SET idle_in_transaction_session_timeout = {idle}; SET tcp_keepalives_idle = 5; \
+         SET tcp_keepalives_interval = 2; SET tcp_keepalives_count = 3;"
+    );
+    pool_with(1, settings)
+}
+
+fn pool_with(connections: u32, more: String) -> AnyPoolOptions {
+    let settings = Arc::new(format!(
+        "SET statement_timeout = {}; SET lock_timeout = {}; {more}",
+        STATEMENT_TIMEOUT.as_millis(),
+        LOCK_TIMEOUT.as_millis()
+    ));
+    connections::pool(connections).acquire_timeout(CONNECTION_TIMEOUT).after_connect(move |connection, _| {
+        let settings = settings.clone();
         Box::pin(async move {
-            let settings = format!(
-                "SET statement_timeout = {}; SET lock_timeout = {};",
-                STATEMENT_TIMEOUT.as_millis(),
-                LOCK_TIMEOUT.as_millis()
-            );
-            sqlx::raw_sql(AssertSqlSafe(settings)).execute(connection).await?;
+            sqlx::raw_sql(AssertSqlSafe(settings.as_str())).execute(connection).await?;
             Ok(())
         })
     })
@@ -172,9 +190,10 @@ async fn migrate(connection: &mut PgConnection) -> Result<(), StorageError> {
 }
 
 impl Postgres {
-    /// [`StorageError::TakenOver`] if this is no longer the owner. Nobody else becomes it before the transaction ends.
+    /// [`StorageError::TakenOver`] if this is no longer the owner. Nobody else becomes it before the transaction ends: that
+    /// changes the epoch, which is a key, and waits. To say that the owner is there changes no key, and does not.
     pub(super) async fn fence(&self, transaction: &mut Transaction<'_, Any>) -> Result<(), StorageError> {
-        let owned = sqlx::query("SELECT 1 FROM lease WHERE id = 1 AND epoch = $1 FOR SHARE")
+        let owned = sqlx::query("SELECT 1 FROM lease WHERE id = 1 AND epoch = $1 FOR KEY SHARE")
             .bind(self.epoch)
             .fetch_optional(&mut **transaction)
             .await?;
@@ -251,9 +270,26 @@ pub(super) async fn open_to_read(address: &str) -> Result<AnyConnection, Storage
     Ok(AnyConnection::connect(&address).await?)
 }
 
+/// Where the media of the database at an address lie outside it, with the mark of that store.
+pub(super) async fn media_store(address: &str) -> Result<Option<(String, String)>, StorageError> {
+    let Primary { mut connection, .. } = primary(address).await?;
+    let table: Option<String> =
+        sqlx::query_scalar("SELECT to_regclass('media_store')::text").fetch_one(&mut connection).await?;
+    let known = match table {
+        Some(_) => {
+            let select = sqlx::query_as("SELECT address, mark FROM media_store WHERE id = 1");
+            select.fetch_optional(&mut connection).await?
+        }
+        None => None,
+    };
+    connection.close().await?;
+    Ok(known)
+}
+
 /// Old versions of rows are kept until a vacuum. PostgreSQL does that by itself, and it is asked to do it now.
-pub(super) async fn wipe_deleted(writer: &AnyPool) -> Result<(), StorageError> {
-    let mut connection = writer.acquire().await?;
+/// Beside what is written, by a connection of its own.
+pub(super) async fn wipe_deleted(exporters: &AnyPool) -> Result<(), StorageError> {
+    let mut connection = exporters.acquire().await?;
     // Takes as long as it takes; the next one has its time limit again.
     sqlx::raw_sql("SET statement_timeout = 0").execute(&mut *connection).await?;
     connection.close_on_drop();

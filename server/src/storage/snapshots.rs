@@ -10,6 +10,7 @@ use topomap::log::MapEvent;
 use super::damage::Where;
 use super::jobs::end_job;
 use super::labels::insert_label;
+use super::media::{CONTENT, StoredContent, Whose, insert_medium};
 use super::new_events::{NewEvent, insert_events};
 use super::notes::insert_note;
 use super::row_sums::{CHAIN_START, StoredEvent};
@@ -50,13 +51,21 @@ pub(crate) struct FormerModelRow {
 }
 
 /// What a map keeps of a frame beside its words.
-#[derive(Clone, Debug, PartialEq, sqlx::FromRow)]
+#[derive(Clone, Debug, PartialEq)]
 pub(crate) struct MediaRow {
     /// The frame's position in the log.
-    #[sqlx(try_from = "i64")]
     pub(crate) position: u64,
     pub(crate) kind: MediumKind,
     pub(crate) content: Vec<u8>,
+}
+
+#[derive(sqlx::FromRow)]
+struct StoredMedium {
+    #[sqlx(try_from = "i64")]
+    position: u64,
+    kind: MediumKind,
+    #[sqlx(flatten)]
+    stored: StoredContent,
 }
 
 /// A map that is to be brought in, without its log.
@@ -167,20 +176,15 @@ impl Storage {
         labels: &[LabelRow],
         notes: &[NoteRow],
     ) -> Result<(), StorageError> {
+        let contents: Vec<&[u8]> = media.iter().map(|medium| medium.content.as_slice()).collect();
+        let objects = self.put_outside(map, &contents).await?;
         self.write(async |transaction| {
             let events: Vec<NewEvent<'_>> =
                 events.iter().map(|(position, event)| NewEvent { map, position: *position, event }).collect();
             insert_events(transaction, &events).await?;
-            for MediaRow { position, kind, content } in media {
-                sqlx::query(
-                    "INSERT INTO frame_media (map_id, position, kind, content) VALUES ($1, $2, $3, $4)",
-                )
-                .bind(map)
-                .bind(to_sql(*position))
-                .bind(kind)
-                .bind(content)
-                .execute(&mut **transaction)
-                .await?;
+            for (MediaRow { position, kind, content }, object) in media.iter().zip(&objects) {
+                let whose = Whose { map, frame: *position, kind: *kind };
+                insert_medium(transaction, whose, content, object.as_ref()).await?;
             }
             for LabelRow { place, label } in labels {
                 insert_label(transaction, map, *place, label).await?;
@@ -274,18 +278,26 @@ impl MapView {
     ) -> Result<Vec<MediaRow>, StorageError> {
         let first = (-1, MediumKind::Features);
         let (position, kind) = after.map_or(first, |(position, kind)| (to_sql(position), kind));
-        let media = sqlx::query_as(
-            "SELECT position, kind, content FROM frame_media WHERE map_id = $1 AND (position, kind) > ($2, $3) \
-             ORDER BY position, kind LIMIT $4",
-        )
-        .bind(self.map.id)
-        .bind(position)
-        .bind(kind)
-        .bind(i64::from(MEDIA_PAGE))
-        .fetch_all(&mut *self.snapshot)
-        .await;
+        let select = format!(
+            "SELECT position, kind, {CONTENT} FROM frame_media WHERE map_id = $1 AND (position, kind) > ($2, $3) \
+             ORDER BY position, kind LIMIT $4"
+        );
+        let media = sqlx::query_as(sqlx::AssertSqlSafe(select))
+            .bind(self.map.id)
+            .bind(position)
+            .bind(kind)
+            .bind(i64::from(MEDIA_PAGE))
+            .fetch_all(&mut *self.snapshot)
+            .await;
         // Several are read at once: which of them it is, nobody can say here.
-        self.noting_rot(Where::Somewhere, media.map_err(StorageError::from)).await
+        let media: Vec<StoredMedium> =
+            self.noting_rot(Where::Somewhere, media.map_err(StorageError::from)).await?;
+        let contents = media.into_iter().map(async |StoredMedium { position, kind, stored }| {
+            let whose = Whose { map: self.map.id, frame: position, kind };
+            let content = self.storage.content_of(whose, stored).await?;
+            Ok(MediaRow { position, kind, content })
+        });
+        futures::future::try_join_all(contents).await
     }
 
     /// The next labels, from that of a place on; none after the last.

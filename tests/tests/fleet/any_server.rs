@@ -92,7 +92,7 @@ async fn tokens_hold_at_every_server() {
     let database = cluster.database("tokens_everywhere").await;
     let directory = tempfile::tempdir().unwrap();
     let storage = StorageAddress::Postgres(database.url());
-    let location = DataLocation { storage, data_dir: directory.path().to_owned() };
+    let location = DataLocation { storage, data_dir: directory.path().to_owned(), ..Default::default() };
     let secret = offline::create_token(location, "operator", Role::Admin, Default::default()).await.unwrap();
     let (first, _first_directory) = owner(&database.url()).await;
     let (second, _second_directory) = beside_others(&database.url());

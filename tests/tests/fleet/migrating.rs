@@ -96,7 +96,7 @@ async fn filled(directory: &Path) -> ServerProcess {
 }
 
 /// What clients are told of all maps, but for what each server counts by itself.
-async fn contents(client: &Client) -> Vec<String> {
+pub(super) async fn contents(client: &Client) -> Vec<String> {
     let mut told = Vec::new();
     for map in client.maps().await.unwrap() {
         let name = map.name.trim_start_matches("maps/").to_owned();
@@ -116,12 +116,12 @@ async fn migrate(from: &str, to: &str) -> Output {
     run(&["migrate", "--from", from, "--to", to]).await
 }
 
-async fn run(arguments: &[&str]) -> Output {
+pub(super) async fn run(arguments: &[&str]) -> Output {
     let mut command = Built::command("waypost-server");
     command.args(arguments);
     tokio::task::spawn_blocking(|| run_to_its_end(command)).await.unwrap()
 }
 
-fn said(output: &Output) -> String {
+pub(super) fn said(output: &Output) -> String {
     String::from_utf8_lossy(&[output.stdout.as_slice(), output.stderr.as_slice()].concat()).into_owned()
 }

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use sha2::{Digest, Sha256};
 use sqlx::{AssertSqlSafe, Connection, PgConnection};
-use waypost_server::config::{DataLocation, StorageAddress};
+use waypost_server::config::{DataLocation, MediaAddress, StorageAddress};
 
 /// The address of the cluster, without a database.
 const POSTGRES: &str = "WAYPOST_TEST_POSTGRES";
@@ -95,5 +95,21 @@ pub(crate) async fn location(directory: &Path) -> DataLocation {
     let hash = Sha256::digest(directory.as_os_str().as_encoded_bytes());
     let hash: String = hash.iter().take(8).map(|byte| format!("{byte:02x}")).collect();
     let database = Cluster { address }.database(&format!("test_{hash}")).await;
-    DataLocation { storage: StorageAddress::Postgres(database.url()), data_dir: directory.to_owned() }
+    DataLocation {
+        storage: StorageAddress::Postgres(database.url()),
+        data_dir: directory.to_owned(),
+        media: media_of(directory),
+    }
+}
+
+/// Has servers put media into a folder beside, where it is set.
+const MEDIA: &str = "WAYPOST_TEST_MEDIA";
+
+fn media_of(directory: &Path) -> MediaAddress {
+    if std::env::var_os(MEDIA).is_none() {
+        return MediaAddress::Database;
+    }
+    let folder = directory.join("media");
+    std::fs::create_dir_all(&folder).unwrap();
+    MediaAddress::Folder(folder)
 }

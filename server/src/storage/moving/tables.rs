@@ -130,7 +130,7 @@ pub(super) const OF_MAPS: [Table; 14] = [
     Table {
         name: "frame_media",
         key: &[("position", Whole), ("kind", Text)],
-        rest: &[("content", Bytes)],
+        rest: &[("content", Bytes), ("object", Text), ("object_bytes", Whole), ("object_sha256", Bytes)],
         page: 8,
     },
     Table { name: "frame_notes", key: &[("position", Whole)], rest: &[("note", Text)], page: 500 },
