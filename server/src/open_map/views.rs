@@ -92,6 +92,9 @@ pub(crate) trait FrameStore {
 
     /// Where a frame's features are; `None` if none are kept.
     fn features(&self, frame: FrameId) -> Result<Option<SeenFeatures>, ArchiveError>;
+
+    /// Says which frames' features are about to be asked for: they may be read side by side.
+    fn expect_features(&self, _frames: &[FrameId]) {}
 }
 
 /// Reads the earlier frames that a recognised one wants, and compares it with them, side by side. Nothing is compared if
@@ -109,6 +112,7 @@ pub(crate) fn compared<'a>(
     let proposed = recognized.propose(&earlier);
     let Some(current) = current else { return Ok((proposed, Comparisons::default())) };
     let WantedViews { compared, turned, .. } = proposed.wanted_views();
+    source.expect_features(compared);
     let mut features = Vec::new();
     for &frame in compared {
         features.extend(source.features(frame)?.map(|seen| (frame, seen)));
@@ -141,6 +145,21 @@ impl FrameStore for MapWriter {
         self.recent_features.borrow_mut().keep(frame, features.clone());
         Ok(features)
     }
+
+    /// Each of them may be an object of a store that takes its time.
+    fn expect_features(&self, frames: &[FrameId]) {
+        let known = |frame: &FrameId| self.recent_features.borrow().get(*frame).is_some();
+        let unknown: Vec<FrameId> = frames.iter().copied().filter(|frame| !known(frame)).collect();
+        let reading = unknown.iter().map(|&frame| self.storage.features(self.map.id, frame));
+        let read = self.runtime.block_on(futures::future::join_all(reading));
+        // What could not be read is asked for once more, by who needs it.
+        for (frame, stored) in unknown.into_iter().zip(read.into_iter().map(Result::ok)) {
+            if let Some(stored) = stored {
+                let features = seen_features((self.map.id, frame), stored);
+                self.recent_features.borrow_mut().keep(frame, features);
+            }
+        }
+    }
 }
 
 /// The features of a frame from the disk; `None` if none are kept, or they are damaged. Blocks.
@@ -152,16 +171,21 @@ pub(crate) fn stored_features(
 ) -> Result<Option<SeenFeatures>, ArchiveError> {
     let stored =
         runtime.block_on(storage.features(map, frame)).map_err(|error| ArchiveError::of(frame, error))?;
-    let Some(StoredFeatures { features, camera }) = stored else { return Ok(None) };
+    Ok(seen_features((map, frame), stored))
+}
+
+/// `None` if none are kept, or they are damaged.
+fn seen_features((map, frame): (MapId, FrameId), stored: Option<StoredFeatures>) -> Option<SeenFeatures> {
+    let StoredFeatures { features, camera } = stored?;
     match FeatureRecord::from_bytes(&features) {
         Ok(features) => {
             let intrinsics = camera.as_ref().and_then(Intrinsics::of_camera);
             let around = camera.as_ref().and_then(PanoramicOptics::of_camera);
-            Ok(Some(SeenFeatures::new(Arc::new(features), intrinsics.as_ref()).all_around(around)))
+            Some(SeenFeatures::new(Arc::new(features), intrinsics.as_ref()).all_around(around))
         }
         Err(error) => {
             tracing::error!(map, frame, %error, "a frame's features cannot be read; it is no longer compared");
-            Ok(None)
+            None
         }
     }
 }
