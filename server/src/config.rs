@@ -17,19 +17,18 @@ use crate::net::origin::Origin;
 use crate::net::standing::Strangers;
 use crate::net::tls::TlsFiles;
 use crate::quotas::ServerLimits;
+pub use crate::storage::{MediaAddress, NoMediaAddress};
 
 mod error;
 mod keys;
 mod layers;
 mod location;
-mod media;
 
 pub use error::ConfigError;
 pub use keys::unknown_variables;
 use keys::{KEYS, PREFIX, form};
 use layers::{CommandLine, Environment};
 pub use location::{DataLocation, NoStorage, StorageAddress};
-pub use media::MediaAddress;
 
 /// All settings. [`Default`] has the defaults.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
@@ -148,8 +147,7 @@ pub struct Flags {
     #[arg(long, global = true, value_name = "STORAGE")]
     #[serde(skip_serializing_if = "Option::is_none")]
     storage: Option<StorageAddress>,
-    /// Where images, thumbnails and features of frames lie: database, or, beside PostgreSQL, s3://BUCKET/FOLDER or a folder
-    /// that all servers reach [default: database]
+    /// Where media of frames lie: database, or beside PostgreSQL s3://BUCKET/FOLDER, or a folder [default: database]
     #[arg(long, global = true, value_name = "MEDIA")]
     #[serde(skip_serializing_if = "Option::is_none")]
     media: Option<MediaAddress>,

@@ -121,7 +121,7 @@ fn open_or_relay<'a>(
         };
         let (tell, owner) = watch::channel(None);
         if opening == Opening::First {
-            inspect_media_store(&location.storage, &location.media).await?;
+            inspect_media_store(database, &location.media).await?;
         }
         let relay = Relay::new(owner, database, ports.tls.as_ref(), Metrics::new()?);
         let (grpc, http) = ports.shared()?;

@@ -50,7 +50,7 @@ use crate::config::{Config, DataLocation, StorageAddress};
 use crate::metrics::{HISTORY_EVERY, Metrics};
 use crate::service::Service;
 use crate::service::tokens::{Anonymous, Tokens};
-use crate::storage::{Addresses, Claim, Storage, WhileOwned, check_media_beside_sqlite};
+use crate::storage::{Addresses, Claim, Storage, WhileOwned};
 
 /// How long connections may take to end once the server stops.
 const GRACE: Duration = Duration::from_secs(5);
@@ -334,10 +334,7 @@ fn exposed(addresses: [SocketAddr; 2]) -> Option<SocketAddr> {
 async fn open(location: &DataLocation, claim: Claim) -> anyhow::Result<Arc<Service>> {
     let DataLocation { storage, data_dir, media } = location;
     let storage = match storage {
-        StorageAddress::Sqlite => {
-            check_media_beside_sqlite(media)?;
-            Storage::open(data_dir).await?
-        }
+        StorageAddress::Sqlite => Storage::open_with(data_dir, media).await?,
         StorageAddress::Postgres(url) => Storage::connect(url, data_dir, media, claim).await?,
     };
     let tokens = Tokens::load(&storage).await?;

@@ -15,8 +15,8 @@ use crate::service::Service;
 use crate::service::maps::Detail;
 use crate::service::tokens::{NewToken, TokenRow};
 use crate::storage::{
-    Claim, DeepInspection, Inspection, Moved, Source, back_up, inspect, inspect_all, inspect_media_store,
-    inspect_postgres, restore,
+    Claim, DeepInspection, Inspection, Moved, Source, back_up, check_media_beside_sqlite, inspect,
+    inspect_all, inspect_media_store, inspect_postgres, restore,
 };
 use crate::wire::tokens::requested_limits;
 use crate::{Exposed, exposed, open};
@@ -326,7 +326,10 @@ async fn check_data(location: &DataLocation) -> (Result<String, String>, Option<
 }
 
 async fn check_media(location: &DataLocation) -> Result<String, String> {
-    let checked = inspect_media_store(&location.storage, &location.media).await;
+    let checked = match &location.storage {
+        StorageAddress::Sqlite => check_media_beside_sqlite(&location.media),
+        StorageAddress::Postgres(url) => inspect_media_store(url, &location.media).await,
+    };
     checked.map(|()| format!("they go to {}", location.media)).map_err(|error| error.to_string())
 }
 

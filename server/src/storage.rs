@@ -21,6 +21,7 @@ mod labels;
 mod log;
 mod maps;
 mod media;
+mod media_address;
 mod media_store;
 mod merges;
 mod models;
@@ -49,6 +50,7 @@ pub(crate) use labels::LabelRow;
 pub(crate) use log::{ClosureRow, LogEntry, StoredFrame};
 pub(crate) use maps::{MapCounts, MapEdition, MapId, MapRow, SessionRow};
 pub(crate) use media::{MapBytes, Medium, MediumKind, StoredFeatures, kept_bytes};
+pub use media_address::{MediaAddress, NoMediaAddress};
 pub(crate) use media_store::{check_media_beside_sqlite, inspect_media_store};
 pub(crate) use merges::{JoinedLog, JoinedSession, MergeOutcome, MergeRow, MergeState};
 pub(crate) use models::ModelRow;
@@ -75,7 +77,6 @@ use std::sync::Arc;
 use sqlx::pool::PoolConnection;
 use sqlx::{Any, AnyConnection, AnyPool, AssertSqlSafe, Connection, Transaction};
 
-use crate::config::MediaAddress;
 use crate::quotas::Quotas;
 
 /// The database of one server. Cheap to clone.
@@ -116,6 +117,12 @@ impl Storage {
     pub(crate) async fn open(directory: &Path) -> Result<Self, StorageError> {
         let (engine, pools) = sqlite::open(directory).await?;
         Self::over(Engine::Sqlite(engine), pools, directory, None).await
+    }
+
+    /// The same where media may be wanted elsewhere, which is refused.
+    pub(crate) async fn open_with(directory: &Path, media: &MediaAddress) -> Result<Self, StorageError> {
+        check_media_beside_sqlite(media)?;
+        Self::open(directory).await
     }
 
     /// Opens a database of PostgreSQL, making its tables where they are missing. In

@@ -6,8 +6,7 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-use super::MediaAddress;
-use crate::storage::parse_postgres_address;
+use crate::storage::{MediaAddress, parse_postgres_address};
 
 /// What keeps the tables.
 #[derive(Clone, Default, PartialEq, Eq, Deserialize, Serialize)]
@@ -23,7 +22,7 @@ pub enum StorageAddress {
 /// No [`StorageAddress`].
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("{0}")]
-pub struct NoStorage(pub(super) String);
+pub struct NoStorage(String);
 
 impl FromStr for StorageAddress {
     type Err = NoStorage;

@@ -5,8 +5,7 @@ use std::time::Duration;
 use tokio_util::sync::CancellationToken;
 
 use super::objects::{NoObject, ObjectRef, Objects, random_name};
-use super::{Storage, StorageError};
-use crate::config::{MediaAddress, StorageAddress};
+use super::{MediaAddress, Storage, StorageError};
 
 /// How often what no row names is looked for, and how soon after a start.
 const SWEEP_EVERY: Duration = Duration::from_secs(6 * 3600);
@@ -147,15 +146,9 @@ pub(crate) fn check_media_beside_sqlite(media: &MediaAddress) -> Result<(), Stor
     }
 }
 
-/// What one who does not own a database can say of where its media are to be.
-pub(crate) async fn inspect_media_store(
-    storage: &StorageAddress,
-    media: &MediaAddress,
-) -> Result<(), StorageError> {
-    let known = match storage {
-        StorageAddress::Sqlite => return check_media_beside_sqlite(media),
-        StorageAddress::Postgres(url) => super::postgres::media_store(url).await?,
-    };
+/// What one who does not own a database of PostgreSQL can say of where its media are to be.
+pub(crate) async fn inspect_media_store(database: &str, media: &MediaAddress) -> Result<(), StorageError> {
+    let known = super::postgres::media_store(database).await?;
     let objects = Objects::at(media)?;
     let is_new = fits(objects.as_ref(), known).await? == Fits::New;
     match &objects {

@@ -17,8 +17,7 @@ use tables::{JOBS, MAPS, MERGES, MODELS, NUMBERED, OF_MAPS, TOKENS, Table};
 
 use super::objects::Objects;
 use super::values::MaybeReal;
-use super::{MapId, Storage, StorageError, engine, postgres, sqlite};
-use crate::config::MediaAddress;
+use super::{MapId, MediaAddress, Storage, StorageError, engine, postgres, sqlite};
 
 /// What was brought over.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]

@@ -15,8 +15,7 @@ use object_store::path::Path;
 use object_store::{ClientOptions, ObjectStore, ObjectStoreExt, PutMode, RetryConfig};
 use sha2::{Digest, Sha256};
 
-use super::StorageError;
-use crate::config::MediaAddress;
+use super::{MediaAddress, StorageError};
 
 /// Content of at most so many bytes stays in its row: to ask for it elsewhere would take longer than to read it.
 pub(super) const MOST_IN_ROW: usize = 4096;

@@ -6,8 +6,6 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-use super::NoStorage;
-
 /// Where a server puts the media of frames: what a map keeps of them beside their words.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(try_from = "String", into = "String")]
@@ -27,10 +25,15 @@ pub enum MediaAddress {
     Folder(PathBuf),
 }
 
-impl FromStr for MediaAddress {
-    type Err = NoStorage;
+/// No [`MediaAddress`].
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error("{0}")]
+pub struct NoMediaAddress(String);
 
-    fn from_str(text: &str) -> Result<Self, NoStorage> {
+impl FromStr for MediaAddress {
+    type Err = NoMediaAddress;
+
+    fn from_str(text: &str) -> Result<Self, NoMediaAddress> {
         if text == "database" {
             return Ok(Self::Database);
         }
@@ -39,7 +42,7 @@ impl FromStr for MediaAddress {
             let prefix = prefix.trim_matches('/').to_owned();
             let bucket = bucket.to_owned();
             return match bucket.is_empty() || text.contains(['?', '#', '@']) {
-                true => Err(NoStorage("it is no bucket, and a folder in it if you like".to_owned())),
+                true => Err(NoMediaAddress("it is no bucket, and a folder in it if you like".to_owned())),
                 false => Ok(Self::S3 { bucket, prefix }),
             };
         }
@@ -47,16 +50,16 @@ impl FromStr for MediaAddress {
         match folder.is_absolute() {
             true => Ok(Self::Folder(folder)),
             false => {
-                Err(NoStorage("it is neither database, nor a bucket, nor a folder from / on".to_owned()))
+                Err(NoMediaAddress("it is neither database, nor a bucket, nor a folder from / on".to_owned()))
             }
         }
     }
 }
 
 impl TryFrom<String> for MediaAddress {
-    type Error = NoStorage;
+    type Error = NoMediaAddress;
 
-    fn try_from(text: String) -> Result<Self, NoStorage> {
+    fn try_from(text: String) -> Result<Self, NoMediaAddress> {
         text.parse()
     }
 }
