@@ -15,6 +15,8 @@ use super::{
 
 /// A client that takes the direct way, whatever the environment says.
 pub(crate) fn http() -> reqwest::Client {
+    // The library of its TLS is for who uses it to say, though the tests have none.
+    let _known = tokio_rustls::rustls::crypto::ring::default_provider().install_default();
     reqwest::Client::builder().no_proxy().build().unwrap()
 }
 

@@ -5,7 +5,7 @@ use serde_json::json;
 use waypost_client::{Code, NavigationEvent, NavigationOptions, v1};
 
 use super::metric::{teach, to_place, way};
-use crate::harness::{Server, assert_status, camera_ahead, in_time, refused};
+use crate::harness::{Server, assert_status, camera_ahead, http, in_time, refused};
 
 fn to(target: v1::goal::Target) -> v1::Goal {
     v1::Goal { target: Some(target) }
@@ -69,7 +69,7 @@ async fn a_goal_that_does_not_exist_takes_no_other_away() {
         let case = format!("{body}");
         let (said, message) = refused(client.set_goal(name, to(target.clone())).await);
         assert_status(&case, (said, &message), code, fragment);
-        let answer = reqwest::Client::new().put(&url).json(&body).send().await.unwrap();
+        let answer = http().put(&url).json(&body).send().await.unwrap();
         assert_eq!(answer.status(), status, "{case}");
         navigation.go_to(to(target.clone())).await.unwrap();
         let event = in_time(navigation.next()).await.unwrap().unwrap();

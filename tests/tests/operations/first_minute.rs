@@ -42,7 +42,7 @@ async fn a_map_needs_no_model_to_be_chosen() {
     assert_eq!(waypost.json(&["map", "create", "hall"])["model"], shipped);
     // Nor over REST.
     let create = async |map: &str| {
-        let posted = reqwest::Client::new().post(format!("{}/v1/maps", waypost.http()));
+        let posted = crate::harness::http().post(format!("{}/v1/maps", waypost.http()));
         posted.json(&json!({ "map_id": map })).send().await.unwrap()
     };
     let made = create("attic").await;

@@ -13,13 +13,8 @@ use waypost_proto::v1;
 use waypost_proto::v1::map_service_client::MapServiceClient;
 
 use crate::harness::{
-    RawStream, Server, ServerProcess, answers, channel, frame, import_model, map_request, open, wire,
+    RawStream, Server, ServerProcess, answers, channel, frame, http, import_model, map_request, open, wire,
 };
-
-/// A client that takes the direct way, whatever the environment says.
-fn http() -> reqwest::Client {
-    reqwest::Client::builder().no_proxy().build().unwrap()
-}
 
 /// Metrics as Prometheus reads them: name with labels, and value. Every line must be one, or a comment.
 async fn metrics(server: &Server) -> BTreeMap<String, f64> {

@@ -104,7 +104,8 @@ async fn a_server_whose_log_nobody_reads_serves_and_stops() {
     let addresses: serde_json::Value = serde_json::from_slice(&std::fs::read(&ready).unwrap()).unwrap();
     let http = addresses["http"].as_str().unwrap();
     for _ in 0..3 {
-        let refused = reqwest::get(format!("http://{http}/v1/maps/nowhere")).await.unwrap();
+        let refused =
+            crate::harness::http().get(format!("http://{http}/v1/maps/nowhere")).send().await.unwrap();
         assert_eq!(refused.status(), reqwest::StatusCode::NOT_FOUND);
     }
     rustix::process::kill_process(Pid::from_child(&server), Signal::TERM).unwrap();

@@ -139,7 +139,7 @@ async fn what_belongs_to_no_service_of_ours_is_guarded_too() {
 #[tokio::test(flavor = "multi_thread")]
 async fn every_route_asks_for_a_token() {
     let guarded = Guarded::start().await;
-    let http = reqwest::Client::builder().no_proxy().build().unwrap();
+    let http = crate::harness::http();
     let get = |path: &str| http.get(guarded.server.url(path));
     for path in OPEN_ROUTES {
         assert_eq!(get(path).send().await.unwrap().status(), StatusCode::OK, "{path}");
@@ -197,7 +197,7 @@ async fn every_route_asks_for_a_token() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_server_without_a_token_answers_to_no_foreign_name() {
     let (server, client) = Server::with_map().await;
-    let http = reqwest::Client::builder().no_proxy().build().unwrap();
+    let http = crate::harness::http();
     let ask = |path: &str, host: &str| http.get(server.url(path)).header("host", host);
     for host in ["rebound.example", "rebound.example:7601"] {
         let refused = ask("/v1/maps", host).send().await.unwrap();
