@@ -272,7 +272,7 @@ async fn stalled_exports_are_limited_and_hold_nobody_up() {
     // More than all buffers on the way can hold.
     sql(
         server.directory(),
-        "INSERT INTO frame_media SELECT map_id, position, 'image', randomblob(4000000) FROM log WHERE sequence IS NOT NULL",
+        "INSERT INTO frame_media (map_id, position, kind, content) SELECT map_id, position, 'image', randomblob(4000000) FROM log WHERE sequence IS NOT NULL",
     )
     .await;
     let mut stalled: Vec<Streaming<v1::ExportMapResponse>> = Vec::new();
@@ -325,7 +325,7 @@ async fn a_stalled_export_does_not_hold_up_a_stop() {
     answers(&client, "drive", "robot", (1..=8).map(frame)).await;
     sql(
         directory.path(),
-        "INSERT INTO frame_media SELECT map_id, position, 'image', randomblob(4000000) FROM log WHERE sequence IS NOT NULL",
+        "INSERT INTO frame_media (map_id, position, kind, content) SELECT map_id, position, 'image', randomblob(4000000) FROM log WHERE sequence IS NOT NULL",
     )
     .await;
     let mut raw = MapServiceClient::new(channel(&server.endpoint()).await);

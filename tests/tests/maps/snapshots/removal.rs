@@ -6,7 +6,7 @@ use super::*;
 async fn enlarge(directory: &Path, rows: u32) {
     let many = format!(
         "WITH RECURSIVE n (i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < {rows}) \
-         INSERT INTO frame_media SELECT maps.id, 1000 + i, 'thumbnail', randomblob(2000) FROM n, maps WHERE maps.name = 'drive'"
+         INSERT INTO frame_media (map_id, position, kind, content) SELECT maps.id, 1000 + i, 'thumbnail', randomblob(2000) FROM n, maps WHERE maps.name = 'drive'"
     );
     sql(directory, &many).await;
 }

@@ -55,7 +55,7 @@ async fn write_fixture() {
     answers(&client, "fixture", "second", (3..=6).map(frame)).await;
     for (kind, content) in [("features", ONE_FEATURE), ("thumbnail", "randomblob(40)")] {
         let insert = format!(
-            "INSERT OR REPLACE INTO frame_media SELECT map_id, position, '{kind}', {content} FROM log WHERE sequence IS NOT NULL"
+            "INSERT OR REPLACE INTO frame_media (map_id, position, kind, content) SELECT map_id, position, '{kind}', {content} FROM log WHERE sequence IS NOT NULL"
         );
         sql(server.directory(), &insert).await;
     }
