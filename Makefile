@@ -55,14 +55,14 @@ IN_A_FOLDER ?= robots::frames maps::pictures maps::snapshots::a_map_comes maps::
 # What looks into SQLite's file, or has a server of its own there.
 OF_SQLITE = maps::restore maps::snapshots::a_stalled maps::snapshots::stalled maps::snapshots::interrupted::an_import_that_fails \
 	maps::snapshots::interrupted::an_import_that_is_cancelled_while maps::snapshots::removal merging::compaction::what_was_removed \
-	operations::tokens::older
+	operations::tokens::older robots::frames::kept_features
 test-postgres: build
 	WAYPOST_BINARIES=$(abspath $(TARGET)) scripts/with-postgres \
 		$(CARGO) test $(CARGO_FLAGS) --release --locked --workspace --test end_to_end -- $(ON_POSTGRES) $(foreach test,$(OF_SQLITE),--skip $(test))
 	WAYPOST_BINARIES=$(abspath $(TARGET)) WAYPOST_TEST_ASKED_IN_RESERVE=1 scripts/with-postgres \
 		$(CARGO) test $(CARGO_FLAGS) --release --locked --workspace --test end_to_end -- $(IN_RESERVE)
 	WAYPOST_BINARIES=$(abspath $(TARGET)) WAYPOST_TEST_MEDIA=1 scripts/with-postgres \
-		$(CARGO) test $(CARGO_FLAGS) --release --locked --workspace --test end_to_end -- $(IN_A_FOLDER)
+		$(CARGO) test $(CARGO_FLAGS) --release --locked --workspace --test end_to_end -- $(IN_A_FOLDER) $(foreach test,$(OF_SQLITE),--skip $(test))
 
 # What the client's messages, arrays and calls go through, with the oldest and the newest packages that it works with.
 RANGE_TESTS = test_values.py test_decisions.py test_words.py test_calls.py

@@ -98,7 +98,7 @@ pub(crate) struct Storage {
     commits: Arc<commits::Commits>,
     quotas: Quotas,
     /// Where media lie that are not in the database.
-    objects: Option<Objects>,
+    objects: Option<Arc<Objects>>,
 }
 
 /// Connections to a database.
@@ -156,7 +156,7 @@ impl Storage {
             waiting: Arc::default(),
             commits: Arc::default(),
             quotas: Quotas::default(),
-            objects,
+            objects: objects.map(Arc::new),
         };
         storage.load_damages().await?;
         if let Engine::Sqlite(_) = storage.engine {

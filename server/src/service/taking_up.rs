@@ -55,7 +55,7 @@ impl Service {
             )
         })?;
         let caller = self.caller(task.asked_by())?;
-        let begun = Begun::Before(job.clone());
+        let begun = Begun::Before(Box::new(job.clone()));
         match task {
             Task::CompactMap { map, asked_by: _ } => {
                 self.rewriting.start_compacting(&caller, &map, begun).await.map(drop)

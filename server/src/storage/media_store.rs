@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use sqlx::query::QueryScalar;
 use tokio_util::sync::CancellationToken;
 
 use super::objects::{NoObject, ObjectRef, Objects, random_name};
@@ -34,7 +35,7 @@ impl Storage {
     pub(crate) async fn settle_media_store(&self) -> Result<(), StorageError> {
         let known = self.known_store().await?;
         let is_known = known.is_some();
-        match fits(self.objects.as_ref(), known).await {
+        match fits(self.objects.as_deref(), known).await {
             Ok(Fits::Yes) => Ok(()),
             Ok(Fits::New) => {
                 let Some(objects) = &self.objects else { return Ok(()) };
@@ -127,7 +128,7 @@ impl Storage {
         let named: Vec<String> = self
             .write(async |transaction| {
                 let query = sqlx::query_scalar(sqlx::AssertSqlSafe(select.clone()));
-                let query = names.iter().fold(query, |query, name| query.bind(name));
+                let query = names.iter().fold(query, QueryScalar::bind);
                 Ok(query.fetch_all(&mut **transaction).await?)
             })
             .await?;

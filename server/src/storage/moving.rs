@@ -158,7 +158,7 @@ impl Storage {
         {
             after = Some(last[..table.key.len()].to_vec());
             let rows = media::with_content(source.objects.as_ref(), table, rows).await?;
-            let rows = media::put_outside(self.objects.as_ref(), (table, map), rows).await?;
+            let rows = media::put_outside(self.objects.as_deref(), (table, map), rows).await?;
             self.write(async |transaction| {
                 for row in &rows {
                     insert(transaction, table, None, map, row).await?;
@@ -199,7 +199,7 @@ impl Storage {
             let read = page(&mut source.connection, table, map, after.as_deref(), table.page).await?;
             let written = page(&mut here, table, map, after.as_deref(), table.page).await?;
             let read = media::with_content(source.objects.as_ref(), table, read).await?;
-            let written = media::with_content(self.objects.as_ref(), table, written).await?;
+            let written = media::with_content(self.objects.as_deref(), table, written).await?;
             if read != written {
                 return Err(StorageError::Unfit(format!(
                     "the table {} is not in the target as it is in the source: the source has changed since an earlier \

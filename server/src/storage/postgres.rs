@@ -150,7 +150,7 @@ pub(crate) async fn inspect_postgres(address: &str) -> Result<Option<Inspection>
 }
 
 fn pool(connections: u32) -> AnyPoolOptions {
-    pool_with(connections, String::new())
+    pool_with(connections, "")
 }
 
 /// Of an owner that vanishes in the middle of a transaction, as with its machine or its network, the database ends that:
@@ -161,10 +161,10 @@ fn writing_pool() -> AnyPoolOptions {
         "SET idle_in_transaction_session_timeout = {idle}; SET tcp_keepalives_idle = 5; \
          SET tcp_keepalives_interval = 2; SET tcp_keepalives_count = 3;"
     );
-    pool_with(1, settings)
+    pool_with(1, &settings)
 }
 
-fn pool_with(connections: u32, more: String) -> AnyPoolOptions {
+fn pool_with(connections: u32, more: &str) -> AnyPoolOptions {
     let settings = Arc::new(format!(
         "SET statement_timeout = {}; SET lock_timeout = {}; {more}",
         STATEMENT_TIMEOUT.as_millis(),

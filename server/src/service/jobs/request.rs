@@ -23,7 +23,7 @@ pub(in crate::service) struct JobRequest {
 pub(in crate::service) enum Begun {
     Now,
     /// By a server that ended before the job did.
-    Before(JobReporter),
+    Before(Box<JobReporter>),
 }
 
 /// What was asked for, and by which token; none where the server has none. Names are those of the request.

@@ -60,7 +60,7 @@ impl Jobs {
         Work: Future<Output = JobOutcome> + Send + 'static,
     {
         let reporter = match request.begun.clone() {
-            Begun::Before(reporter) => reporter,
+            Begun::Before(reporter) => *reporter,
             Begun::Now => self.insert(request).await?,
         };
         let status = reporter.status.borrow().clone();
