@@ -2,6 +2,8 @@
 
 use std::time::Duration;
 
+use futures::TryStreamExt;
+use futures::stream::TryChunksError;
 use sqlx::query::QueryScalar;
 use tokio_util::sync::CancellationToken;
 
@@ -111,8 +113,9 @@ impl Storage {
     pub(crate) async fn sweep_media(&self) -> Result<u64, StorageError> {
         let Some(objects) = &self.objects else { return Ok(0) };
         let mut deleted = 0;
-        for names in objects.older_than(OLD).await?.chunks(NAMES) {
-            let unnamed = self.unnamed(names).await?;
+        let mut old = objects.older_than(OLD).try_chunks(NAMES);
+        while let Some(names) = old.try_next().await.map_err(|TryChunksError(_, error)| error)? {
+            let unnamed = self.unnamed(&names).await?;
             objects.delete(&unnamed).await?;
             deleted += unnamed.len() as u64;
         }

@@ -6,13 +6,14 @@
 
 use std::fmt;
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, SystemTime};
 
+use futures::stream::BoxStream;
 use futures::{StreamExt, TryStreamExt};
 use object_store::aws::AmazonS3Builder;
 use object_store::local::LocalFileSystem;
 use object_store::path::Path;
-use object_store::{ClientOptions, ObjectStore, ObjectStoreExt, PutMode, RetryConfig};
+use object_store::{ClientOptions, ObjectMeta, ObjectStore, ObjectStoreExt, PutMode, RetryConfig};
 use sha2::{Digest, Sha256};
 
 use super::{MediaAddress, StorageError};
@@ -127,21 +128,18 @@ impl Objects {
         }
     }
 
-    /// Names of the objects that were written longer than `age` ago, some at a time.
-    pub(super) async fn older_than(&self, age: Duration) -> Result<Vec<String>, StorageError> {
-        let folder = self.path("maps");
-        let mut objects = self.store.list(Some(&folder));
-        let mut names = Vec::new();
-        while let Some(object) = objects.try_next().await.map_err(|error| self.failed(&error))? {
-            let written = std::time::SystemTime::from(object.last_modified);
+    /// Names of the objects that were written longer than `age` ago, as the store lists them.
+    pub(super) fn older_than(&self, age: Duration) -> BoxStream<'_, Result<String, StorageError>> {
+        let objects = self.store.list(Some(&self.path("maps")));
+        let name = move |object: ObjectMeta| {
+            let written = SystemTime::from(object.last_modified);
             // One that was written in the future is none that is old.
-            if written.elapsed().is_ok_and(|elapsed| elapsed >= age)
-                && let Some(name) = object.location.prefix_match(&self.folder)
-            {
-                names.push(name.map(|part| part.as_ref().to_owned()).collect::<Vec<_>>().join("/"));
-            }
-        }
-        Ok(names)
+            let is_old = written.elapsed().is_ok_and(|elapsed| elapsed >= age);
+            let name = object.location.prefix_match(&self.folder).filter(|_| is_old);
+            name.map(|parts| parts.map(|part| part.as_ref().to_owned()).collect::<Vec<_>>().join("/"))
+        };
+        let names = objects.try_filter_map(move |object| futures::future::ready(Ok(name(object))));
+        names.map_err(|error| self.failed(&error)).boxed()
     }
 
     /// Deletes objects; one that is gone already will do.
