@@ -64,11 +64,6 @@ pub(crate) struct Jobs {
 }
 
 impl Jobs {
-    /// Whether the server ends.
-    pub(super) fn is_stopping(&self) -> bool {
-        self.stopping.is_cancelled()
-    }
-
     pub(super) fn new(storage: Storage, deleted_maps: DeletedMaps, stopping: CancellationToken) -> Self {
         Self {
             storage,
@@ -101,6 +96,11 @@ impl Jobs {
         };
         let is_reached = status.borrow().is_reached_by(caller);
         if is_reached { Ok(status) } else { Err(caller.reaches_not(name)) }
+    }
+
+    /// Whether the server ends.
+    pub(super) fn is_stopping(&self) -> bool {
+        self.stopping.is_cancelled()
     }
 
     /// Asks a job to stop; one that has ended stays as it is.

@@ -241,7 +241,11 @@ impl StoredContent {
             (Some(name), Some(bytes), Some(sha256)) => {
                 Ok(Err(ObjectRef { name, bytes: from_sql(bytes)?, sha256 }))
             }
-            (None, _, _) | (Some(_), None, _) | (Some(_), Some(_), None) => Ok(Ok(content)),
+            (None, None, None) => Ok(Ok(content)),
+            // An object of which something is missing cannot be told from another.
+            (None | Some(_), None | Some(_), None | Some(_)) => {
+                Err(StorageError::Damaged("a medium that names a part of an object".to_owned()))
+            }
         }
     }
 }

@@ -41,18 +41,16 @@ impl FromStr for MediaAddress {
             let (bucket, prefix) = rest.split_once('/').unwrap_or((rest, ""));
             let prefix = prefix.trim_matches('/').to_owned();
             let bucket = bucket.to_owned();
-            return match bucket.is_empty() || text.contains(['?', '#', '@']) {
-                true => Err(NoMediaAddress("it is no bucket, and a folder in it if you like".to_owned())),
-                false => Ok(Self::S3 { bucket, prefix }),
-            };
+            if bucket.is_empty() || text.contains(['?', '#', '@']) {
+                return Err(NoMediaAddress("it is no bucket, and a folder in it if you like".to_owned()));
+            }
+            return Ok(Self::S3 { bucket, prefix });
         }
         let folder = PathBuf::from(text.strip_prefix("file://").unwrap_or(text));
-        match folder.is_absolute() {
-            true => Ok(Self::Folder(folder)),
-            false => {
-                Err(NoMediaAddress("it is neither database, nor a bucket, nor a folder from / on".to_owned()))
-            }
+        if folder.is_absolute() {
+            return Ok(Self::Folder(folder));
         }
+        Err(NoMediaAddress("it is neither database, nor a bucket, nor a folder from / on".to_owned()))
     }
 }
 

@@ -41,7 +41,7 @@ impl Storage {
             Ok(Fits::Yes) => Ok(()),
             Ok(Fits::New) => {
                 let Some(objects) = &self.objects else { return Ok(()) };
-                let mark = random_name();
+                let mark = random_name()?;
                 objects.set_mark(&mark).await.map_err(|error| match error {
                     StorageError::Exists => of_another(objects.address()),
                     other => other,

@@ -52,7 +52,6 @@ pub(super) enum NoObject {
 }
 
 /// Where media lie.
-#[derive(Clone)]
 pub(super) struct Objects {
     store: Arc<dyn ObjectStore>,
     folder: Path,
@@ -107,7 +106,7 @@ impl Objects {
 
     /// Writes an object; returns when it is durable.
     pub(super) async fn put(&self, map: i64, content: &[u8]) -> Result<ObjectRef, StorageError> {
-        let name = format!("maps/{map}/{}", random_name());
+        let name = format!("maps/{map}/{}", random_name()?);
         let put = self.store.put(&self.path(&name), content.to_vec().into()).await;
         put.map_err(|error| self.failed(&error))?;
         Ok(ObjectRef { name, bytes: content.len(), sha256: Sha256::digest(content).to_vec() })
@@ -201,8 +200,15 @@ fn in_words(error: &object_store::Error) -> String {
     words
 }
 
-/// A name that no other object has.
-pub(super) fn random_name() -> String {
-    let random = || getrandom::u64().unwrap_or_default();
-    format!("{:016x}{:016x}", random(), random())
+/// A name that no other object has. [`StorageError::Unfit`] where the system has no random numbers: any other name might be
+/// taken, and what is there would be lost.
+pub(super) fn random_name() -> Result<String, StorageError> {
+    let random = || {
+        getrandom::u64().map_err(|error| {
+            StorageError::Unfit(format!(
+                "the system gives no random numbers ({error}); see to its /dev/urandom"
+            ))
+        })
+    };
+    Ok(format!("{:016x}{:016x}", random()?, random()?))
 }

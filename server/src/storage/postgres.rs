@@ -36,10 +36,10 @@ use super::{EXPORTERS, Pools, READERS, StorageError, connections};
 /// Statements, and waits for locks, are bounded in time: who asks gets an answer.
 const STATEMENT_TIMEOUT: Duration = Duration::from_secs(60);
 const LOCK_TIMEOUT: Duration = Duration::from_secs(10);
-/// How long a transaction that writes may wait for the next statement of its server.
-const IDLE_TRANSACTION_TIMEOUT: Duration = Duration::from_secs(10);
 /// So is the wait for a connection, as to a machine that is gone.
 const CONNECTION_TIMEOUT: Duration = Duration::from_secs(10);
+/// And how long a transaction that writes waits for the next statement of its server.
+const IDLE_TRANSACTION_TIMEOUT: Duration = Duration::from_secs(10);
 
 // PostgreSQL gives up waiting for its standbys when a statement's time is over, and then says that a transaction is committed
 // which no standby has. Who waits for so long no longer owns the database, and tells nobody.
